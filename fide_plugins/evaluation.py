@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any, TypeAlias
@@ -55,11 +55,12 @@ class Evaluation:
 
     def of(self, points: Float64, first: int = 0) -> Iterator[Result]:
         """One result for each of the points (n, d), from the first on."""
-        told = self.losses if self.told is None else self.told
-        for i in range(first, len(points)):
-            image = None if self.images is None else self.images[i]
-            tokens = None if self.tokens is None else self.tokens[i].clone()
-            yield points[i], float(self.losses[i]), image, tokens, float(told[i])
+        nothing = [None] * (len(points) - first)
+        images: Iterable[Images | None] = nothing if self.images is None else self.images[first:]
+        tokens = nothing if self.tokens is None else [one.clone() for one in self.tokens[first:]]
+        losses, told = self.losses[first:], self.losses if self.told is None else self.told
+        each = losses.tolist(), images, tokens, told[first:].tolist()
+        return zip(points[first:], *each, strict=True)
 
 
 def _made(encoder: str | Callable[..., object], device: str, for_network: bool) -> PatchEncoder:

@@ -240,7 +240,6 @@ class FIDE(Saved):
                 self.views,
                 possible=self._may_blur and not known,
                 at_once=o.coarse_to_fine or (o.photo and o.coarse_to_fine is None),
-                cost=12.0 * k,
             ),
             kept=Kept(self.dim) if self.evaluator.comparison is not None else None,
         )
@@ -496,7 +495,7 @@ class FIDE(Saved):
             encode = self._encodes and (self.state.blur == 0.0 or losses is not None)
             results = evaluator.evaluate(n, batch, losses, features, version=version, encode=encode)
         self.state.clipping = clipping
-        if losses is not None:  # of a user: not at any blur
+        if losses is not None and n:  # of a user: not at any blur
             self.state.stay_sharp()
         if self.state.kept is not None and batch is not None:
             at, given = self.state.evaluations, losses is not None

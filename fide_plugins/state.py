@@ -247,7 +247,6 @@ class State:
             self._go_finer()
             return
         spent = self.evaluations - self.over_at
-        self.scales.note_end(self.moves.gain_of(self.search_best), spent)
         stage = self.moves.after_search(self.search_best, spent, guided=guided)
         self.search_best, self.over_at = None, self.evaluations
         self._go_on(stage)
@@ -268,8 +267,6 @@ class State:
             self._begin_search()
         elif stage is Stage.RESTART and self.moves.begins_coarse:
             self.scales.begin()
-        elif stage is Stage.RESTART and self.moves.begins_anew:
-            self.scales.enter(self.rng)
 
     # -- coarse to fine ----------------------------------------------------------------------------
 

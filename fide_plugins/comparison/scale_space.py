@@ -8,9 +8,9 @@ one with none.  Renders are sharp and so is `FIDE.best`; only what the search is
 
 Where regions are wide and flat a blur hides what counts.  So the first candidates decide: if their
 parameters follow better from blurred images than from sharp ones, by a linear model that has not
-seen them, the first search begins again, coarse.  Then later searches from random places are raced,
-coarse against sharp, and a search around the incumbent that begins coarse is one of the moves.
-Elsewhere nothing changes.
+seen them, the first search begins again, coarse.  From then on a search from a random place that
+begins coarse is one of the moves (`search.moves.Coarsen`), raced with the others.  Elsewhere
+nothing changes.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ import numpy as np
 
 from fide_plugins.comparison.comparison import blurred
 from fide_plugins.runtime.schema import anything, array, check, each, flag, maybe, real, whole
-from fide_plugins.search.policy import Choice
 from fide_plugins.types import Float32, Float64
 from fide_plugins.views import Views
 
@@ -39,7 +38,6 @@ _SEEN = 36  # candidates that decide
 _SIDE = 96  # pixels to which their images are reduced
 _LEAST_RATIO, _LEAST_GAIN = 1.1, 0.03  # of the predictability, for blurs to be useful
 _RIDGES = np.geomspace(1e-4, 1.0, 7)
-_SHARP, _COARSE = "sharp", "coarse"
 
 
 class ScaleSpace:
@@ -48,12 +46,9 @@ class ScaleSpace:
     views: of the target.
     possible: whether images can be compared blurred at all.
     at_once: whether the first search begins coarse, without asking the first candidates.
-    cost: evaluations of a search, roughly.
     """
 
-    def __init__(
-        self, views: Views, *, possible: bool, at_once: bool = False, cost: float = 1.0
-    ) -> None:
+    def __init__(self, views: Views, *, possible: bool, at_once: bool = False) -> None:
         self._views = views
         self._side = min(min(view.size) for view in views.views)
         self.useful: bool | None = (at_once or None) if possible else False
@@ -61,9 +56,6 @@ class ScaleSpace:
         self.left: list[float] = list(BLURS) if at_once and possible else []
         """Blurs of the present search and of those that follow it, in sides of the image."""
         self._seen: list[tuple[int, Float64, list[Float32]]] = []
-        self._race = Choice({_SHARP: 0.1, _COARSE: 0.1}, cost)
-        self._entered: str | None = None
-        """What the present search from a random place is, in the race."""
 
     @property
     def blur(self) -> float:
@@ -119,62 +111,35 @@ class ScaleSpace:
 
     def end(self) -> None:
         """Compare sharp images from now on."""
-        self.left, self._entered = [], None
+        self.left = []
 
     def give_up(self) -> None:
         """Never begin coarse again: images are not compared here, or by a user's own losses."""
         self.end()
         self.useful, self._seen = False, []
 
-    def enter(self, rng: np.random.Generator) -> None:
-        """Begin a search from a random place, coarse or sharp, by what both have brought."""
-        if self.useful:
-            self._entered = self._race.draw([_SHARP, _COARSE], rng)
-            if self._entered == _COARSE:
-                self.begin()
-
-    def note_end(self, gain: float, evaluations: int) -> None:
-        """Note what the search from a random place has brought, if it was one.
-
-        gain: by how much of it the lowest loss was lowered.
-        """
-        if self._entered is not None:
-            self._race.note(self._entered, gain, evaluations)
-            self._entered = None
-
     # -- saving ------------------------------------------------------------------------------------
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that changes."""
         seen = [{"index": i, "x": x, "images": images} for i, x, images in self._seen]
-        return {
-            "useful": self.useful,
-            "left": list(self.left),
-            "entered": self._entered == _COARSE if self._entered else None,
-            "seen": seen,
-            "race": self._race.state_dict(),
-        }
+        return {"useful": self.useful, "left": list(self.left), "seen": seen}
 
     def load_state_dict(self, state: Mapping[str, Any], sides: Mapping[str, int]) -> None:
         """Put back what `state_dict` gave; ValueError for what it cannot have given."""
         check(state, _SCHEMA, dict(sides), "scale space")
         self.useful = state["useful"]
         self.left = [one for one in BLURS if one in state["left"]]
-        entered = state["entered"]
-        self._entered = None if entered is None else _COARSE if entered else _SHARP
         self._seen = [
             (one["index"], one["x"].copy(), [each.copy() for each in one["images"]])
             for one in state["seen"]
         ]
-        self._race.load_state_dict(state["race"])
 
 
 _SCHEMA: dict[str, Any] = {
     "useful": maybe(flag),
     "left": each(real(0.0, 1.0)),
-    "entered": maybe(flag),
     "seen": each({"index": whole(), "x": array("d"), "images": each(anything)}),
-    "race": anything,
 }
 
 

@@ -259,21 +259,9 @@ class MovePolicy:
         return incumbent.loss
 
     @property
-    def begins_anew(self) -> bool:
-        """Whether the next search begins at a random place."""
-        return self.move == self._anew.name
-
-    @property
     def begins_coarse(self) -> bool:
         """Whether the next search begins coarse, whatever was measured."""
         return self.move == Coarsen.name
-
-    def gain_of(self, found: TrainingSample | None) -> float:
-        """By how much of it the loss of the best optimum is lowered by this one, in [0, 1]."""
-        optima = self.known.optima.all
-        if found is None:
-            return 0.0
-        return _gain(optima[0].sample.loss, found.loss) if optima else 1.0
 
     @property
     def ended(self) -> list[int]:
