@@ -36,7 +36,7 @@ PATIENCE = 2  # of coarse searches, in units of the run's: their losses are smal
 _JUDGED = (0.04, 0.08)  # blurs that are compared with sharp images, in sides of the image
 _SEEN = 36  # candidates that decide
 _SIDE = 96  # pixels to which their images are reduced
-_LEAST_RATIO, _LEAST_GAIN = 1.1, 0.03  # of the predictability, for blurs to be useful
+_LEAST_RATIO, _LEAST_GAIN = 1.1, 0.05  # of the predictability, for blurs to be useful
 _RIDGES = np.geomspace(1e-4, 1.0, 7)
 
 
