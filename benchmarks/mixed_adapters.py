@@ -1,7 +1,7 @@
 """Integers, choices, floats and logarithms in `fit`, Optuna and Nevergrad.
 
-    python benchmarks/mixed_adapters.py fit optuna nevergrad --out benchmarks/results/mixed.jsonl
-    python benchmarks/mixed_adapters.py --out benchmarks/results/mixed.jsonl --table
+    python benchmarks/mixed_adapters.py fit optuna nevergrad --out runs/mixed.jsonl
+    python benchmarks/mixed_adapters.py --out benchmarks/results/mixed_adapters.jsonl --table
 
 Three scenes of 32 x 32 pixels, 500 renders a run.  Seed s has its own picture, whose parameters are
 drawn at random, and all optimizers look for the same ones.  A picture counts as found when the mean

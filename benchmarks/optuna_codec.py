@@ -22,7 +22,7 @@ import torch
 from rows import Row, read, run_missing
 
 import fide_tasks
-from fide_adapters.optuna.features import ImageEvaluator
+from fide_adapters.optuna.images import ImageEvaluator
 from fide_plugins import FIDE
 from fide_plugins.recording.record import best_so_far
 

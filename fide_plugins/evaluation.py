@@ -161,6 +161,16 @@ class Evaluator:
         light = None if self.comparison is None else self.comparison.compare(image[None]).light
         return None if light is None else light[0] if self.views.listed else light[0][0]
 
+    def mismatch(self, image: Float32, *, agreed: bool) -> str | None:
+        """What explains most of the difference of an image (H, W, C) and the target, in words."""
+        from fide_plugins.comparison.mismatch import explanation
+
+        comparison = self.comparison or self._compared_by()
+        adjusts = (comparison.light != "none", comparison.scale is not None)
+        views = comparison.leftovers(image)
+        said = [explanation(*one, agreed=agreed, adjusts=adjusts) for one in views]
+        return next((one for one in said if one is not None), None)
+
     def residual(self, image: Float32) -> list[Float32]:
         """What is left of each view, (H, W) in [0, 1]; image: (H, W, C), with its coverage."""
         comparison = self.comparison or self._compared_by()

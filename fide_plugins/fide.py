@@ -681,7 +681,17 @@ class FIDE(Saved):
             low=state.clipping.low,
             high=state.clipping.high,
         )
+        if status_of(facts).code in ("stalled", "unsure", "agreed") and not facts.same:
+            facts = replace(facts, mismatch=self._mismatch(status_of(facts).code == "agreed"))
         return status_of(facts)
+
+    def _mismatch(self, agreed: bool) -> str | None:
+        """What explains most of what is left, in words; agreed: whether searches ended there."""
+        best, kept = self.state.best, self.state.kept
+        if best is None or best.solution.image is None:
+            return None
+        image = best.solution.image if kept is None else kept.image_of(best.solution)
+        return self.evaluator.mismatch(image, agreed=agreed)
 
     @one_at_a_time
     def solutions(self, k: int = 5) -> list[Solution]:

@@ -5,7 +5,6 @@ They are read from a run directory; nothing in it is executed.
 
 from __future__ import annotations
 
-import io
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -17,7 +16,7 @@ import numpy as np
 from fide_plugins import encoders
 from fide_plugins.errors import CheckpointError, OptionError
 from fide_plugins.fitting.pictures import side_by_side
-from fide_plugins.recording.figures import plain
+from fide_plugins.recording.figures import figure_as_png, plain
 from fide_plugins.recording.parameters import Row, read_solutions, rows
 from fide_plugins.recording.storage import RunDirectoryError, is_saved, read_run, with_optimizer
 from fide_plugins.runtime import checkpoint
@@ -40,7 +39,7 @@ Known = list[tuple[Float64, Float32]]
 
 
 def write_images(directory: Path, points: Sequence[Float64], images: Sequence[Float32]) -> None:
-    """Write images (H, W, 3) image_of points (d,); n >= 1.  Raises OSError."""
+    """Write images (H, W, 3) of points (d,); n >= 1.  Raises OSError."""
     state = {"x": np.array(points), "images": np.array(images)}
     checkpoint.write(directory / _NAME, _KIND, state)
 
@@ -59,7 +58,7 @@ def read_images(directory: Path) -> Known:
 
 
 def image_of(known: Known, x: Float64) -> Float32 | None:
-    """The image image_of the point x (d,); None if there is none."""
+    """The image of the point x (d,); None if there is none."""
     return next((image for point, image in known if np.array_equal(point, x)), None)
 
 
@@ -150,7 +149,6 @@ def _optimizer(path: Path, encoder: Callable[..., object] | None) -> FIDE:
 
 
 def _check_encoder(path: Path) -> None:
-    """Raise OptionError if the optimizer at `path` has an encoder that no name stands for."""
     settings: Any = checkpoint.read(path, "fide").get("settings")
     name = settings.get("encoder") if isinstance(settings, dict) else None
     if isinstance(name, str) and name.partition(":")[0] not in encoders.names():
@@ -190,9 +188,7 @@ def figure(found: Found) -> bytes:
         axes = canvas.add_subplot(grid[0, i + 1])
         _panel(axes, f"{i + 1}", f"loss {solution.loss:.3g}", image)
         _lines(canvas, axes, table, i, height)
-    buffer = io.BytesIO()
-    canvas.savefig(buffer, format="png", metadata={"Software": None})
-    return buffer.getvalue()
+    return figure_as_png(canvas)
 
 
 def _panel(axes: Any, name: str, note: str, image: Float32 | None) -> None:

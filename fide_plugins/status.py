@@ -20,7 +20,8 @@ _NEXT = "fit again with another seed and compare the losses, or give more render
 class Status:
     """State of a run.
 
-    code: "waiting", "solved", "noise", "improving", "agreed", "unsure" or "stalled".
+    code: "waiting", "solved", "noise", "improving", "mismatch", "agreed", "unsure" or
+        "stalled".
     sentence: the same in words, with the numbers.
     """
 
@@ -54,6 +55,8 @@ class Facts:
     solved: whether the image equals the target but for what no eye sees (`views.solved`).
     same: how many candidates have had the same image, if all have, see `views.same_images`; 0
         otherwise.
+    mismatch: what explains most of what is left, in words, where the renderer cannot draw the
+        target (`comparison.mismatch`); None: nothing is known of it.
     clipped: images whose values went beyond black or white; low, high: the extremes of these.
     """
 
@@ -68,6 +71,7 @@ class Facts:
     grain: float | None = None
     solved: bool = False
     same: int = 0
+    mismatch: str | None = None
     clipped: int = 0
     low: float = 0.0
     high: float = 1.0
@@ -104,6 +108,9 @@ def status_of(facts: Facts) -> Status:
     since = facts.evaluations - facts.improved_at
     if since < facts.horizon:
         return Status("improving", f"Still improving: loss {best:.3g}.")
+    if facts.mismatch is not None:
+        since = f"No improvement since evaluation {facts.improved_at:,}: loss {best:.3g}."
+        return Status("mismatch", f"{since} {facts.mismatch}")
     return _stalled(best, facts)
 
 

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable
-from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -172,47 +170,31 @@ def problems(kind: str) -> dict[str, str | None]:
     results: dict[str, str | None] = {}
     for name in sorted({*names(kind), *_VARIANTS.get(kind, ())}):
         try:
-            _CHECKS[kind](name)
+            _try(kind, name)
             results[name] = None
         except Exception as error:  # any error is a reason
             results[name] = plain(error) or type(error).__name__
     return results
 
 
-def _image() -> Any:
+def _try(kind: str, name: str) -> None:
+    """Render a frame, process an image, or propose candidates; raises what is wrong."""
     import numpy as np
 
-    return np.linspace(0, 1, _SIDE * _SIDE * 3, dtype=np.float32).reshape(_SIDE, _SIDE, 3)
-
-
-def _try_task(name: str) -> None:
     import fide_tasks
+    from fide_plugins import encoders, losses
 
-    fide_tasks.make(name, size=_SIDE).check()
+    image = np.linspace(0, 1, _SIDE * _SIDE * 3, dtype=np.float32).reshape(_SIDE, _SIDE, 3)
+    match kind:
+        case "tasks":
+            fide_tasks.make(name, size=_SIDE).check()
+        case "optimizers" if name == "fide":
+            from fide_plugins.fide import FIDE
 
-
-def _try_optimizer(name: str) -> None:
-    from fide_plugins.fide import FIDE
-
-    optimizer = FIDE if name == "fide" else partial(laboratory.module("optimizers").make, name)
-    optimizer(2, _image(), seed=0).ask()
-
-
-def _try_encoder(name: str) -> None:
-    from fide_plugins import encoders
-
-    encoders.make(name)(_image()[None])
-
-
-def _try_loss(name: str) -> None:
-    from fide_plugins import losses
-
-    losses.make(name, _image())(_image()[None])
-
-
-_CHECKS: dict[str, Callable[[str], None]] = {
-    "tasks": _try_task,
-    "optimizers": _try_optimizer,
-    "encoders": _try_encoder,
-    "losses": _try_loss,
-}
+            FIDE(2, image, seed=0).ask()
+        case "optimizers":
+            laboratory.module("optimizers").make(name, 2, image, seed=0).ask()
+        case "encoders":
+            encoders.make(name)(image[None])
+        case "losses":
+            losses.make(name, image)(image[None])

@@ -75,9 +75,11 @@ _OF_MODELS = ("cells", "control_points", "model_set", "optimizer", "start")
 """Arguments that no renderer of a user has."""
 _OF_RENDERERS = (
     "space", "workers", "timeout", "mask", "weights", "time", "stop_at", "until",
-    "encoder", "learned", "max_failures", "value_range",
+    "encoder", "learned", "max_failures", "value_range", "photo", "photometric", "robust",
+    "background",
 )  # fmt: skip
 """Arguments that no model has."""
+_COMPARISON = ("photo", "photometric", "robust", "background")
 _BUDGET = 2000
 _MOST = 40  # parameters that are printed
 Again: TypeAlias = "Callable[[FIDE, Float64], list[Outcome]]"
@@ -122,6 +124,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--max-failures", type=float, metavar="SHARE", help="of the last 50 renders (1: any)")
     add("--encoder", metavar="NAME", help="see: fide list encoders (the preset's)")
     add("--learned", metavar="MODEL", help="model of: fide learn")
+    _add_comparison(add)
 
     model = parser.add_argument_group("a model that draws")
     add = model.add_argument
@@ -131,6 +134,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="any other option of the model")  # fmt: skip
     add("--start", choices=("picture", "center"),
         help="where fide begins (picture; other optimizers: center)")  # fmt: skip
+
+
+def _add_comparison(add: Callable[..., object]) -> None:
+    """Arguments for targets that the renderer did not draw."""
+    add("--photo", action="store_true", default=None,
+        help="not drawn by the renderer: light and clutter aside, coarse to fine")  # fmt: skip
+    add("--photometric", choices=("exposure", "shading", "auto"),
+        help="light that is set aside (none; with --photo auto)")  # fmt: skip
+    add("--robust", nargs="?", const="auto", type=_scale, metavar="SCALE",
+        help="differences beyond it count less: a number in (0, 1], or auto")  # fmt: skip
+    add("--background", choices=("free",),
+        help="what the render does not cover is explained by the target's colors")  # fmt: skip
+
+
+def _scale(text: str) -> float | str:
+    return text if text == "auto" else float(text)
 
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
@@ -233,8 +252,8 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
         args.targets, args.size, args.mask, args.weights, raw=values is not None
     )
     options = {"loss": args.loss, **optimizer_options(args)}
-    given = {"encoder": args.encoder, "learned": args.learned, "mask": mask, "weights": weights}
-    given["value_range"] = values
+    given = {name: getattr(args, name) for name in ("encoder", "learned", *_COMPARISON)}
+    given |= {"mask": mask, "weights": weights, "value_range": values}
     options |= {name: value for name, value in given.items() if value is not None}
     until, share = args.until or "solved", args.max_failures
     endless = args.budget is None and (args.time is not None or until == "stalled")

@@ -73,6 +73,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--augment", choices=("none", "render", "photograph"), default="photograph",
         help="how much renders are changed while they are learned: for pictures that the renderer "
         "makes, or for photographs (photograph)")  # fmt: skip
+    add("--backgrounds", metavar="FOLDER",
+        help="pictures, or 'generated' ones, that are put behind renders which say what they draw "
+        "(RGBA, or image and coverage), for photographs")  # fmt: skip
     add("--head", choices=("autoregressive", "mixture", "set"),
         help="density that is learned (set where parameters are exchangeable, autoregressive "
         "elsewhere)")  # fmt: skip
@@ -117,7 +120,7 @@ def _learn(args: argparse.Namespace, command: list[str], arguments: dict[str, An
             model = learn(**arguments, **where, on_progress=_Lines())
     except Interrupted as stop:
         note(f"{who}: {stop}; {_KEPT} {plain(args.out)}.renders")
-        _continue_with(command)
+        note(f"continue with: {continuation(command)}")
         return 128 + stop.signum
     except (OptionError, DeviceError, ImportError) as error:
         return complain(who, error)
@@ -125,32 +128,22 @@ def _learn(args: argparse.Namespace, command: list[str], arguments: dict[str, An
         note(f"{who}: it stopped: {paragraph(error)}")
         if any(Path(f"{args.out}.renders").glob("*.npz")):
             note(f"{_KEPT} {plain(args.out)}.renders")
-            _continue_with(command, "when that is mended, ")
+            note(f"when that is mended, continue with: {continuation(command)}")
         return 1
     print(model.report)
     print(f"use it with: --learned {plain(shlex.quote(str(args.out)))}")
     return 0
 
 
-def _continue_with(command: list[str], when: str = "") -> None:
-    note(f"{when}continue with: {continuation(command)}")
-
-
 def _check_free(args: argparse.Namespace) -> None:
     """Raise OptionError if something is there and nobody asked to go on with it."""
     folder = Path(f"{args.out}.renders")
-    if args.resume:
-        return
-    for there, taken in ((args.out, args.out.exists()), (folder, _has_renders(folder))):
-        if taken:
-            raise OptionError(f"{there} is there already; add --resume, or name another --out")
-
-
-def _has_renders(folder: Path) -> bool:
-    """Whether more is there than a call leaves whose renders were all of no use."""
-    if not folder.is_dir():
-        return folder.exists()
-    return any(path.name not in {"settings", ".learn.lock"} for path in folder.iterdir())
+    has_renders = folder.exists()
+    if folder.is_dir():  # a call whose renders were all of no use leaves less
+        has_renders = any(p.name not in {"settings", ".learn.lock"} for p in folder.iterdir())
+    for place, taken in ((args.out, args.out.exists()), (folder, has_renders)):
+        if taken and not args.resume:
+            raise OptionError(f"{place} is there already; add --resume, or name another --out")
 
 
 def _arguments(args: argparse.Namespace) -> dict[str, Any]:
@@ -158,23 +151,13 @@ def _arguments(args: argparse.Namespace) -> dict[str, Any]:
     from fide_plugins.validation.options import seconds_of
 
     render, space = _renderer(args)
-    return {
-        "render": render,
-        "space": space,
-        "renders": args.renders,
-        "size": args.size,
-        "passes": args.passes,
-        "time": None if args.time is None else seconds_of("time", args.time),
-        "seed": args.seed,
-        "augment": args.augment,
-        "head": args.head,
-        "emulator": args.emulator,
-        "groups": args.groups,
-        "version": args.version,
-        "store_limit": args.store_limit,
-        "device": args.device,
-        "out": args.out,
-    }
+    same = (
+        "renders", "size", "passes", "seed", "augment", "backgrounds", "head", "emulator", "groups",
+        "version", "store_limit", "device", "out",
+    )  # fmt: skip
+    time = None if args.time is None else seconds_of("time", args.time)
+    given = {name: getattr(args, name) for name in same}
+    return {"render": render, "space": space, "time": time, **given}
 
 
 @contextmanager
@@ -206,13 +189,10 @@ def _renderer(args: argparse.Namespace) -> tuple[Any, Any]:
         return function_of(args.source, space)
     if space is not None:
         raise OptionError(f"--space is for your own renderer; {args.source} has its own space")
-    return _task(args), None
-
-
-def _task(args: argparse.Namespace) -> Any:
     import fide_tasks
 
-    return fide_tasks.make(args.source, args.render_size or args.size, 0, **dict(args.task_set))
+    size = args.render_size or args.size
+    return fide_tasks.make(args.source, size, 0, **dict(args.task_set)), None
 
 
 class _Lines:

@@ -29,7 +29,7 @@ __all__ = ["Compared", "Comparison"]
 _SMALL = 28  # pixels of a side at which the light is found
 _BACKGROUND = 0.6  # of the loss of the target with its pixels in another order
 _SCALE = 0.7  # of the standard deviation of the target: scale of robust differences
-_LEAST_SCALE = 0.02
+_LEAST_SCALE = 0.15  # of the range of values
 
 
 @dataclass(frozen=True)
@@ -128,6 +128,19 @@ class Comparison:
         each = zip(self.at().each, parts, strict=True)
         return [one.residual(*_taken(part[0])) for one, part in each]
 
+    def leftovers(self, image: Float32) -> list[tuple[Float32, Float32, Float32 | None]]:
+        """Of each view: the image (H, W, 3) in its light, the sharp target, weights (H, W)."""
+        found = []
+        parts = self.views.split(image[None])
+        for view, one, part in zip(self.views.views, self.at(0.0).each, parts, strict=True):
+            x, cover = _taken(part[0])
+            light = one.light(x, cover)
+            weights = view.weights
+            if cover is not None:
+                weights = cover if weights is None else weights * cover
+            found.append((x if light is None else light.applied(x), view.target, weights))
+        return found
+
     def light_that_explains(self, images: Float32) -> str:
         """How much of the light differs, as the best renders (n, H, W, C) say: see `auto`."""
         level, found = self.at(), []
@@ -194,7 +207,7 @@ class _OneView:
         self, image: Float32, coverage: Float32 | None
     ) -> tuple[Float32, Light | None, float]:
         """A render (H, W, 3), its light, and the share of pixels that it does not cover."""
-        light = self._light(image, coverage)
+        light = self.light(image, coverage)
         y = image if light is None else light.applied(image)
         apart = blurred(y, self._blur) - self.target
         factor = None if self.scale is None else robust_factor(apart, self.scale)  # (H, W)
@@ -211,7 +224,7 @@ class _OneView:
 
     def residual(self, image: Float32, coverage: Float32 | None) -> Float32:
         """What is left of a render (H, W, 3) in its light, (H, W)."""
-        light = self._light(image, coverage)
+        light = self.light(image, coverage)
         y = image if light is None else light.applied(image)
         left = np.abs(blurred(y, self._blur) - self.target).mean(axis=-1)
         if coverage is not None:
@@ -220,14 +233,13 @@ class _OneView:
             left *= np.sqrt(self._view.weights)
         return np.clip(left, 0, 1, dtype=np.float32)
 
-    def _light(self, image: Float32, coverage: Float32 | None) -> Light | None:
+    def light(self, image: Float32, coverage: Float32 | None) -> Light | None:
         kind = self._comparison.light
         if kind == NONE:
             return None
         weights = self._view.weights
         if coverage is not None:
-            covered = coverage
-            weights = covered if weights is None else weights * covered
+            weights = coverage if weights is None else weights * coverage
         if weights is None:
             return robust_light(_small(image), self.small, None, kind, self.scale)
         small = _small(weights)

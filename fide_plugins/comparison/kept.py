@@ -14,7 +14,7 @@ __all__ = ["Kept"]
 
 _MOST = 16
 _BYTES = 2**24  # of all of them; one is kept, however large
-_SCHEMA: Schema = {
+_SCHEMA: dict[str, Schema] = {
     "x": array("n", "d", low=0.0, high=1.0),
     "losses": array("n"),
     "evaluations": array("n", kind="i", low=0),

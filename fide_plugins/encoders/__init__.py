@@ -5,7 +5,7 @@ patch.  T and C depend only on the image size.
 
     >>> from fide_plugins import encoders
     >>> encoders.names()
-    ['dense', 'dinov3', 'efficientnet', 'learned', 'patch', 'vgg19']
+    ['dense', 'dinov3', 'efficientnet', 'learned', 'patch', 'texture', 'vgg19']
 
 `make` returns an object to call with a batch of images (any input of
 :func:`fide_plugins.images.as_batch`), with the attributes `name` and `version`; features are
@@ -15,6 +15,7 @@ comparable if both are equal.  No large package is imported before `make`.
 `base`           what all encoders share
 `dense`          encoder `dense`: hand-made features of a grid of patches
 `patch`          encoder `patch`: raw pixels of patches
+`texture`        encoder `texture`: statistics of the whole picture, without places
 `own`            a user's own encoder: any callable of a batch
 `learned`        encoder `learned:FILE`: the network of a model of `fide_plugins.learn`
 `pretrained/`    encoders with pretrained networks: `dinov3`, `efficientnet`, `vgg19`
@@ -103,4 +104,5 @@ register("dinov3", "fide_plugins.encoders.pretrained.dinov3:DinoEncoder")
 register("efficientnet", "fide_plugins.encoders.pretrained.efficientnet:EfficientNetEncoder")
 register("learned", "fide_plugins.encoders.learned:LearnedEncoder")
 register("patch", "fide_plugins.encoders.patch:RawPatchEncoder")
+register("texture", "fide_plugins.encoders.texture:TextureEncoder")
 register("vgg19", "fide_plugins.encoders.pretrained.vgg19:VGG19Encoder")

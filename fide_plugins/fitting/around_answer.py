@@ -37,7 +37,7 @@ _CURVED = 0.25  # energy of the second difference beside that of the first
 _STRAIGHTER = 0.5  # of the curvature, below which the nearer step is taken
 _ANY = 12**-0.5  # standard deviation of the uniform law
 _TINY = 1e-300
-_SAME = 2e-6  # by which a GPU renders the same image anew
+_SAME = 2e-6  # by which a GPU renders the same image again
 
 
 def numbers(optimizer: FIDE) -> Indices:
@@ -61,7 +61,7 @@ def std_around(
         if not around.is_the_same_again():
             return None, around.renders
         seen = around.look({int(axis): around.either_side(axis, _STEP) for axis in axes})
-        _look_nearer(around, seen)
+        _look_closer(around, seen)
     except _OverError:
         return None, around.renders
     _look_farther(around, seen)
@@ -101,7 +101,7 @@ class _Seen:
         return apart / max(*energies, _TINY)
 
 
-def _look_nearer(around: _Around, seen: dict[int, _Seen]) -> None:
+def _look_closer(around: _Around, seen: dict[int, _Seen]) -> None:
     """Look nearer where the image bends, or where one side is known, and replace what was seen."""
     asked = [
         axis
@@ -112,21 +112,21 @@ def _look_nearer(around: _Around, seen: dict[int, _Seen]) -> None:
         {axis: around.either_side(axis, _NEARER * seen[axis].step) for axis in asked}
     )
     for axis in asked:
-        far, near = seen[axis], found.get(axis)
+        far, closer = seen[axis], found.get(axis)
         if far.curvature is None:
-            if near is None:  # nothing tells a slope from a jump
+            if closer is None:  # nothing tells a slope from a jump
                 del seen[axis]
                 continue
-            straight = near.changed and far.differs(near) <= _CURVED
+            straight = closer.changed and far.differs(closer) <= _CURVED
         else:
             straight = (
-                near is not None
-                and near.changed
-                and near.curvature is not None
-                and near.curvature < _STRAIGHTER * far.curvature
+                closer is not None
+                and closer.changed
+                and closer.curvature is not None
+                and closer.curvature < _STRAIGHTER * far.curvature
             )
-        if straight and near is not None:
-            seen[axis] = near
+        if straight and closer is not None:
+            seen[axis] = closer
         else:
             far.least = _NEARER * far.step
 
@@ -184,7 +184,6 @@ class _Around:
 
     @property
     def left(self) -> float:
-        """How many renders there is room for."""
         return self._most - self.renders
 
     def is_the_same_again(self) -> bool:
@@ -275,10 +274,7 @@ class _Around:
         return [means(one, k) for one, k in zip(pixels, self._together, strict=True)]
 
     def _render(self, X: Float64) -> Iterator[Float32 | None]:
-        """Packed images (H, W, 3) of points X (n, d), as they come; None: the render failed.
-
-        Raises _OverError where there is no room for one more.
-        """
+        """Packed images (H, W, 3) of points X (n, d), as they come; None: the render failed."""
         outcomes = gathered(self._workers, X, self._timeout)
         if self.renders + len(X) > self._most:
             raise _OverError

@@ -151,7 +151,6 @@ class Failures:
         return not self._images and self._done >= _FIRST
 
     def _rule(self) -> str:
-        """Why to give up; empty: there is no reason."""
         if not self._images:
             if self._done >= _FIRST and self._all_broken:
                 return f"the first {self._done} renders all failed"
@@ -190,7 +189,9 @@ class Extremes:
         """Whether further renders are to be measured."""
 
     def note(self, image: Float32) -> None:
-        """Count a packed image in [0, 1]."""
+        """Count a packed image in [0, 1], if it is wanted."""
+        if not self.wanted:
+            return
         low, high = self._of(image)
         self._low, self._high = min(self._low, low), max(self._high, high)
         self.wanted = self._high - self._low < _NARROW * self._span
@@ -209,7 +210,6 @@ class Extremes:
         )
 
     def _of(self, image: Float32) -> tuple[float, float]:
-        """Least and largest value of what counts of a packed image."""
         low, high = np.inf, -np.inf
         for view, part in zip(self._views.views, self._views.split(image[None]), strict=True):
             seen = part[0] if view.hidden is None else part[0][~view.hidden]

@@ -1,4 +1,4 @@
-"""A fit that is ready to start or to continue: its loop, saved by time, and how it ends."""
+"""A fit that is ready to start or to continue: what its loop asks and tells, and how it ends."""
 
 from __future__ import annotations
 
@@ -12,18 +12,27 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fide_plugins.errors import ImageError, ValueRangeError
 from fide_plugins.fitting.around_answer import MOST_NUMBERS, numbers, std_around
-from fide_plugins.fitting.callbacks import Callbacks, Run, reporting
-from fide_plugins.fitting.failures import CallbackError, FitError, suspicion_of
+from fide_plugins.fitting.callbacks import Callbacks, Event, Run, reporting
+from fide_plugins.fitting.failures import (
+    CallbackError,
+    EvaluationError,
+    Extremes,
+    Failures,
+    FitError,
+    suspicion_of,
+)
 from fide_plugins.fitting.loop import Loop
+from fide_plugins.fitting.pictures import as_told, canonical, shown
 from fide_plugins.fitting.processes import Processes
-from fide_plugins.fitting.rendering import Renderer
+from fide_plugins.fitting.rendering import Failed, Outcome, Renderer
 from fide_plugins.fitting.result import Result, histories
 from fide_plugins.fitting.saved_run import SavedRun, Unsaved
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers import Workers
-from fide_plugins.recording.directory import CheckpointTimer, note_unsaved
-from fide_plugins.recording.record import Record, Report
+from fide_plugins.recording.directory import note_unsaved
+from fide_plugins.recording.record import Record
 from fide_plugins.recording.signals import Interrupted, Interrupts
 from fide_plugins.runtime.messages import warn_user
 from fide_plugins.uncertainty.at_answer import AtAnswer
@@ -52,6 +61,7 @@ class Fitting:
     """A fit; made by `one_call.prepare`.
 
     plan: arguments of a `SavedRun`, with which its result can be saved.
+    max_failures: share of the latest renders that may fail, in (0, 1].
     """
 
     def __init__(
@@ -71,14 +81,21 @@ class Fitting:
         plan: Mapping[str, Any] | None = None,
         max_failures: float = 1.0,
     ) -> None:
-        self._rounds, self._plan, self._max_failures = rounds, plan or {}, max_failures
         self.optimizer, self.record, self.saved = optimizer, record or Record(), saved
         self._renderer, self._workers, self._stopping = renderer, workers, stopping
         self._callbacks, self._timeout, self._progress = callbacks, timeout, progress
-        self._checkpoint_every = checkpoint_every
+        self._checkpoint_every, self._rounds, self._plan = checkpoint_every, rounds, plan or {}
+        self._failures = Failures(self.record.failures, max_failures)
+        self._comparisons = optimizer.state.comparisons
+        self._extremes = Extremes(optimizer.views)
+        for known in (self.record.first_image, self.record.image):
+            if known is not None:
+                self._extremes.note(known)
+        self._done_before = self.record.evaluations
+        self._render_seconds = 0.0  # of renders of this call's search that gave an image
         self._shown_at = 0.0
         self._std: Float64 | None = None
-        self._std_renders = self._done_before = 0
+        self._std_renders = 0
 
     def execute(self) -> Result:
         """Fit until a rule says stop.
@@ -91,68 +108,151 @@ class Fitting:
         with (
             nullcontext() if self.saved is None else closing(self.saved),
             Interrupts(once=True) as interrupts,
-            reporting(self._progress) as report,
+            reporting(self._progress) as self._report,
         ):
             self._loop = Loop(
-                self.optimizer,
-                self._renderer,
-                self._workers,
-                self._stopping,
-                self.record,
-                self._callbacks,
-                self._timeout,
-                interrupts,
-                self._max_failures,
-            )
-            self._checkpoints = CheckpointTimer(self._checkpoint_every)
+                self, self.optimizer, self._workers, self._stopping, self.record, interrupts,
+                timeout=self._timeout, checkpoint_every=self._checkpoint_every,
+            )  # fmt: skip
             try:
-                stopped = self._run(interrupts, report)
+                stopped = self._run()
                 self._say_how_sure(stopped, interrupts)
             except BaseException as error:
                 stopped = "interrupted" if isinstance(error, Interrupted) else "failed"
                 return self._end(stopped, interrupts, error)  # which raises it
             finally:
-                self._stop_workers(interrupts)
+                with suppress(Interrupted), interrupts.unblocked():  # a second signal does not wait
+                    self._workers.close()
             return self._end(stopped, interrupts, None)
 
-    def _run(self, interrupts: Interrupts, report: Report | None) -> str:
-        """The loop; returns why it has ended."""
+    def _run(self) -> str:
+        """Learn and search; returns why the search has ended."""
         loop = self._loop
-        self._done_before = self.record.evaluations
-        stopped = loop.over()
-        if stopped is None and self._callbacks.call("on_start", self._as_run()):
-            stopped = "callback"
-        if stopped is None and self._rounds is not None:
-            if not self.record.evaluations:
-                self._learn(self._rounds, interrupts, report)
-            self._rounds.remove_renders()  # also where an earlier call was killed before that
-        self._show(report, last=stopped is not None)  # from where the speed counts
+        loop.stopped = loop.over()
+        if loop.stopped is None and self._callbacks.call("on_start", self._as_run()):
+            loop.stopped = "callback"
+        if loop.stopped is None and self._rounds is not None:
+            workers = self._workers.number if isinstance(self._workers, Processes) else 1
+            loop.learn(self._rounds, workers, self._report)
+        return loop.run()
+
+    # -- steps of the loop -------------------------------------------------------------------------
+
+    def ask(self) -> Float64:
+        """Next candidate (1, d); after the first ones have all failed, a random place."""
+        if not self._is_lost:
+            return self.optimizer.ask(1)
+        return self.optimizer.random_point(self._failures.count + self._loop.busy)[None]
+
+    @property
+    def _is_lost(self) -> bool:
+        """Whether no render has given an image so far, and the search cannot say where to go."""
+        return not self.record.evaluations and self._failures.tried
+
+    def tell(self, X: Float64, outcome: Outcome) -> bool:
+        """Tell the outcome of X (1, d), or withdraw it; returns whether it is the best so far."""
+        if isinstance(outcome, Failed):
+            self._withdraw(X, outcome)
+            return False
+        self._render_seconds += outcome.seconds
+        lost = self._is_lost
         try:
-            while stopped is None:
-                stopped = loop.step()
-                self._show(report, last=stopped is not None)
-                self._save_if_due()
-                interrupts.check()
-        finally:
-            loop.search_ended = time.perf_counter()
-        return stopped
+            loss = self._evaluate(X, as_told(self.optimizer, outcome.image))
+        except ValueRangeError:  # it is not this render that is wrong, but all of them
+            self._loop.put_back(X)
+            raise
+        except ImageError as error:
+            self._withdraw(X, Failed.no_fit(error, outcome.image))
+            return False
+        if lost:
+            self.optimizer.begin_at(X[0])
+        self._loop.tick()
+        r, image = self.record, None
+        better = math.isfinite(loss) and loss < r.best_loss
+        if better or r.first_image is None or self._extremes.wanted or self._callbacks:
+            image = canonical(self.optimizer, outcome.image)
+            self._extremes.note(image)
+        improved = r.add_one(X[0], image, loss)
+        best, changes = self.optimizer.state.best, self.optimizer.state.comparisons
+        if best is not None and changes != self._comparisons:
+            self._comparisons, improved = changes, False
+            r.judge_best(best.solution)
+        self._loop.whole = True
+        self._failures.note_image()
+        if self._callbacks:
+            self._call_back(X[0], image, loss, improved)
+        return improved
 
-    def _learn(self, rounds: Rounds, interrupts: Interrupts, report: Report | None) -> None:
-        """Learn before the search, which then begins with the model."""
+    def _withdraw(self, X: Float64, failed: Failed) -> None:
+        self.optimizer.withdraw(X)
+        self._failures.note(failed, self._renderer.params(X[0]))
+        self._failures.check()
 
-        def show(renders: int, doing: str) -> None:
-            self._loop.tick()
-            if report is not None:
-                at = self.record.progress(self._stopping.budget or 0)
-                report(replace(at, evaluations=renders, doing=doing))
+    def _evaluate(self, X: Float64, images: Any) -> float:
+        """Tell images of the point X (1, d); returns its loss."""
+        loop, before = self._loop, self.optimizer.evaluations
+        loop.whole = False
+        try:
+            with self.record.timing(self.optimizer):
+                losses = self.optimizer.tell(X, images)  # (1,)
+        except BaseException as error:
+            loop.whole = self.optimizer.evaluations == before
+            if not loop.whole or isinstance(error, ImageError):
+                raise
+            loop.put_back(X)
+            if not isinstance(error, Exception):
+                raise
+            raise EvaluationError(
+                f"evaluating a render, by the loss and the encoder, raised {error!r}; what was "
+                "found until then is the attribute `result` of this error, and a fit with a run "
+                "directory goes on with resume=True once the cause is mended"
+            ) from error
+        return float(losses[0])
 
-        workers = self._workers.number if isinstance(self._workers, Processes) else 1
-        with interrupts.stoppable():
-            learned = rounds.learn(workers, show)
-        self.optimizer.begin_with(learned.model, learned.renders)
-        self._loop.note_learned(learned.renders)
+    def _call_back(self, x: Float64, image: Any, loss: float, improved: bool) -> None:
+        event = Event(
+            evaluation=self.record.evaluations - 1,
+            x=x,
+            loss=loss,
+            best_loss=self.record.best_loss,
+            image=shown(self.optimizer, image),
+            seconds=self.record.wall_s,
+            busy=self._loop.busy,
+            failures=self._failures.count,
+            optimizer=self.optimizer,
+        )
+        stops = self._callbacks.call("on_evaluation", event)
+        if stops | (improved and self._callbacks.call("on_improvement", event)):
+            self._loop.stopped = "callback"
+
+    def show(self, last: bool) -> None:
+        """Report the search; only every so often, unless it is the last time."""
+        now = time.perf_counter()
+        if self._report is None or (now - self._shown_at < _SHOW_INTERVAL and not last):
+            return
+        self._shown_at, count = now, self._failures.count
+        self._loop.tick()  # a render that failed has not entered its time
+        remark = f"{self._loop.busy} rendering" + (f", {count} failed" if count else "")
+        at = self.record.progress(self._stopping.budget or 0)
+        self._report(replace(at, remark=remark, time=self._stopping.seconds))
+
+    def save(self) -> None:
+        """Write a checkpoint, if there is a run directory."""
         if self.saved is not None:
-            self._save(self.saved)
+            with self._loop.checkpoints.writing():
+                self._note_pending()
+                self.saved.save(self.record, self.optimizer)
+
+    def _note_pending(self) -> None:
+        """Enter what was asked and not told in the record, so that it may be saved."""
+        r = self.record
+        r.pending, r.failures = self._loop.pending, self._failures.count
+        del r.generations[:]
+        if asked := r.evaluations + len(r.pending):
+            r.generations.append(asked)  # one generation that never waits
+        self._loop.tick()
+
+    # -- ending ------------------------------------------------------------------------------------
 
     def _say_how_sure(self, stopped: str, interrupts: Interrupts) -> None:
         """Standard deviations (dim,) from renders around the answer, as far as these can be made.
@@ -167,7 +267,7 @@ class Fitting:
         need = 1 + 4 * p
         room = math.inf if rules.budget is None else max(rules.budget - done, done // _MORE)
         new = max(1, done - self._done_before)
-        each = self._loop.render_seconds / new / max(1, self._workers.number)
+        each = self._render_seconds / new / max(1, self._workers.number)
         left = math.inf if rules.seconds is None else rules.seconds - self.record.wall_s
         if self.optimizer.state.grain.variance or not 0 < p <= MOST_NUMBERS:
             return
@@ -179,14 +279,12 @@ class Fitting:
             if std is not None:
                 self._std, self._std_renders = std, renders
 
-    # -- ending ------------------------------------------------------------------------------------
-
     def _end(self, stopped: str, interrupts: Interrupts, error: BaseException | None) -> Result:
         """Save, and tell the callbacks; raises `error`, or what goes wrong here, with the result.
 
         No signal stops the writing.
         """
-        interrupts.hold()
+        interrupts.block()
         try:
             self._write("finished" if error is None else stopped, stopped)
         except Exception as unsaved:
@@ -194,10 +292,10 @@ class Fitting:
                 note_unsaved(error, unsaved)
             error = error or unsaved
         result = self._result(stopped)
-        if suspicion := suspicion_of(self.optimizer, self._loop.extremes):
+        if suspicion := suspicion_of(self.optimizer, self._extremes):
             warn_user(suspicion)
         try:
-            with interrupts.let_go():
+            with interrupts.unblocked():
                 self._callbacks.call("on_end", result)
         except (CallbackError, Interrupted) as failed:
             error = error or failed
@@ -212,9 +310,9 @@ class Fitting:
             return
         try:
             if self._loop.whole:
-                self._save(saved)
+                self.save()
             else:  # in the midst of a step of the optimizer, which cannot be saved
-                self._loop.note_pending()
+                self._note_pending()
                 saved.write_tables(record, optimizer)
         except Exception:
             with suppress(Exception):
@@ -222,11 +320,6 @@ class Fitting:
                 saved.leave(failed, stopped, record, optimizer, self._solutions)
             raise
         saved.leave(state, stopped, record, optimizer, self._solutions)
-
-    def _stop_workers(self, interrupts: Interrupts) -> None:
-        """Stop them; a second signal does not wait for that."""
-        with suppress(Interrupted), interrupts.let_go():
-            self._workers.close()
 
     @cached_property  # of the end: files and result share it, and its standard deviations
     def _solutions(self) -> list[Solution]:
@@ -238,62 +331,37 @@ class Fitting:
         return solutions
 
     def _result(self, stopped: str) -> Result:
-        r, loop = self.record, self._loop
-        solutions = self._solutions
+        loop, optimizer, solutions = self._loop, self.optimizer, self._solutions
         best = solutions[0] if solutions else None
-        validity = self.optimizer.validity
-        loop.note_pending()
+        validity = optimizer.validity
+        self._note_pending()
         searched = max(loop.search_ended - loop.search_began, 1e-9)
-        workers = max(1, self._workers.number)
+        record = self.record if loop.whole else None
         return Result(
             best=best,
             params=None if best is None else self._renderer.params(best.x),
             solutions=solutions,
-            status=self.optimizer.status,
-            target=self.optimizer.target,
-            weights=self.optimizer.weights,
-            loss=self.optimizer.evaluator.loss.name,
-            failures=loop.failures.count,
+            status=optimizer.status,
+            target=optimizer.target,
+            weights=optimizer.weights,
+            loss=optimizer.evaluator.loss.name,
+            failures=self._failures.count,
             rejected=None if validity is None else validity.share_rejected,
-            first_failure=loop.failures.first,
-            busy=min(1.0, loop.render_seconds / searched / workers),
+            first_failure=self._failures.first,
+            busy=min(1.0, self._render_seconds / searched / max(1, self._workers.number)),
             stopped=stopped,
             out=None if self.saved is None else self.saved.path,
-            clipped=self.optimizer.clipped,
-            value_range=self.optimizer.value_range,
+            clipped=optimizer.clipped,
+            value_range=optimizer.value_range,
             std_renders=self._std_renders,
-            unsaved=Unsaved(
-                self.optimizer, r if loop.whole else None, self._plan, stopped, solutions
-            ),
-            **histories(r, self.optimizer.dim),
+            unsaved=Unsaved(optimizer, record, self._plan, stopped, solutions),
+            **histories(self.record, optimizer.dim),
         )
-
-    # -- meanwhile ---------------------------------------------------------------------------------
 
     def _as_run(self) -> Run:
         out = None if self.saved is None else self.saved.path
         budget, done = self._stopping.budget, self.record.evaluations
         return Run(self.optimizer, self._workers.number, budget, done, out)
-
-    def _show(self, report: Report | None, last: bool) -> None:
-        """Report the search; only every so often, unless it is the last time."""
-        now = time.perf_counter()
-        if report is None or (now - self._shown_at < _SHOW_INTERVAL and not last):
-            return
-        self._shown_at, loop = now, self._loop
-        loop.tick()  # a render that failed has not entered its time
-        failed = f", {loop.failures.count} failed" if loop.failures.count else ""
-        at = self.record.progress(self._stopping.budget or 0)
-        report(replace(at, remark=f"{loop.busy} rendering{failed}", time=self._stopping.seconds))
-
-    def _save_if_due(self) -> None:
-        if self.saved is not None and self._checkpoints.due(self.optimizer):
-            self._save(self.saved)
-
-    def _save(self, saved: SavedRun) -> None:
-        with self._checkpoints.writing():
-            self._loop.note_pending()
-            saved.save(self.record, self.optimizer)
 
 
 def _with_result(error: BaseException, result: Result) -> BaseException:

@@ -249,7 +249,6 @@ def _optimizer(
 def _plan(
     render: Callable[[Any], object], optimizer: FIDE, stopping: Stopping, options: dict[str, Any]
 ) -> dict[str, Any]:
-    """Arguments of `SavedRun`, as plain data."""
     name = own_name(render)
     settings = settings_of(name, optimizer, options, stopping.budget)
     facts: dict[str, Any] = {}
@@ -289,13 +288,11 @@ def _check_render(render: object, named: bool) -> None:
 
 
 def _short(value: object) -> str:
-    """What a value is, without the numbers of an array."""
     shape = getattr(value, "shape", None)
     return shorten(repr(value), 60) if shape is None else f"an array of shape {tuple(shape)}"
 
 
 def _given(**options: Any) -> dict[str, Any]:
-    """Options that are not None."""
     return {name: value for name, value in options.items() if value is not None}
 
 

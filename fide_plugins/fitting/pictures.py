@@ -21,8 +21,6 @@ def as_told(optimizer: FIDE, image: Any) -> Any:
     """What `FIDE.tell` takes for one candidate; image: as the user's function returned it.
 
     For several views that is a list or a tuple with one image for each.
-
-    Raises ImageError (a ValueError) if there is not one image for each view.
     """
     if image is None:
         raise ImageError("render returned None; let it return its image")
@@ -46,8 +44,6 @@ def canonical(optimizer: FIDE, image: Any) -> Float32:
 
     Several views are packed, see `shown`.  Values outside [0, 1] are clipped without a warning:
     `FIDE.tell` has given one, or will.
-
-    Raises ImageError (a ValueError) for whatever `FIDE.tell` refuses.
     """
     told = without_coverage(as_told(optimizer, image), optimizer.views.listed)
     packed: Float32 = optimizer.views.as_batch(told, 1, Clipping().note)[0]

@@ -107,8 +107,6 @@ class Processes:
 
 
 class _Worker:
-    """One process, and the executor that feeds it."""
-
     def __init__(self, portable: Portable) -> None:
         _check_directory()
         self._context = _Context()
@@ -152,7 +150,6 @@ class _Worker:
         return f" with exit code {code}"
 
     def kill(self) -> None:
-        """Kill the process and all that it has started, and remove its folder."""
         process = self._context.started
         if process is not None:
             with suppress(ProcessLookupError, PermissionError):
@@ -164,7 +161,6 @@ class _Worker:
 
 
 def _remove(folder: str) -> None:
-    """Remove a folder and all in it; an empty one also where no more files can be opened."""
     with suppress(OSError):
         os.rmdir(folder)
     shutil.rmtree(folder, ignore_errors=True)
@@ -207,12 +203,9 @@ def _exit_code(process: SpawnProcess) -> int | None:
 
 
 class _Context(SpawnContext):
-    """Starts a process as `_Process`, and remembers it."""
-
     started: SpawnProcess | None = None
 
     def Process(self, *args: Any, **kwargs: Any) -> SpawnProcess:  # type: ignore[override]
-        """A process that is not started yet."""
         self.started = _Process(*args, **kwargs)
         return self.started
 
@@ -245,7 +238,6 @@ _PORTABLE: list[Portable] = []
 
 
 def _begin(portable: Portable, folder: str) -> None:
-    """Prepare the worker."""
     _PORTABLE.append(portable)
     use_folder(folder)
     if hasattr(os, "setsid"):  # a group of its own

@@ -143,11 +143,9 @@ def _in_memory(image: Any, raw: bool) -> Any:
 
     They are read where they were rendered and before that worker gets another candidate, whose
     image may be written to the same file.
-
-    Raises ImageError for a file that is missing or no whole image.
     """
     if isinstance(image, list | tuple) and any(is_path(one) or is_pil(one) for one in image):
-        return [_in_memory(one, raw) for one in image]
+        return type(image)(_in_memory(one, raw) for one in image)
     if is_path(image):
         return read_pixels(image, None, raw=raw)
     if is_pil(image):  # of an opened file Pillow has read no pixel yet
@@ -170,11 +168,7 @@ class Portable:
 
     @classmethod
     def of(cls, renderer: Callable[[Any], Outcome], workers: int) -> Portable:
-        """Pickle the renderer for so many workers.
-
-        Raises whatever an object raises that cannot be pickled.  Warns of a random generator that
-        travels by value: all workers would draw the same noise.
-        """
+        """Pickle the renderer for so many workers."""
         payload, draws = _pickled(renderer)
         if draws and workers > 1:
             warn_user(
@@ -191,7 +185,6 @@ class Portable:
 
 
 def _pickled(renderer: Callable[[Any], Outcome]) -> tuple[bytes, bool]:
-    """The renderer as bytes, and whether a random generator is in them."""
     import cloudpickle
 
     class Pickler(cloudpickle.Pickler):  # type: ignore[misc]

@@ -114,6 +114,14 @@ class Result:
             return self.unsaved.optimizer
         return None if self.out is None else optimizer_in(self.out)
 
+    @property
+    def residual(self) -> Any:
+        """What is left, (H, W) in [0, 1], see `FIDE.residual`; None where there is no optimizer.
+
+        Raises CheckpointError as `optimizer`.
+        """
+        return None if self.optimizer is None else self.optimizer.residual
+
     def plot(self) -> Figure:
         """Figure of matplotlib: target, best image, difference, losses, paths of the parameters.
 
@@ -193,12 +201,10 @@ class Result:
         return result_page(self, self._panels())
 
     def _range(self) -> list[str]:
-        """A line on the range of values, if there is one."""
         values = self.value_range
         return [] if values is None else [f"  value range: {values[0]:.6g} to {values[1]:.6g}"]
 
     def _shown(self, image: Any) -> Float32:
-        """One picture in [0, 1] of an image, or of a list of them."""
         if self.value_range is None:
             return side_by_side(image)
         values = ValueRange(*self.value_range)
@@ -210,7 +216,6 @@ class Result:
         return int(self.path.shape[1])
 
     def _panels(self) -> list[Panel]:
-        """Target, best image and difference; views side by side."""
         from fide_plugins.recording.figures import GAIN, Panel, difference
 
         target = self._shown(self.target)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -58,9 +58,14 @@ class SavedRun:
         command: Sequence[str] | None,
         sources: Mapping[str, str] | None = None,
     ) -> None:
-        words = None if command is None else list(command)
         self._directory = RunDirectory(
-            out, settings, resume=resume, command=words, limits=limits, facts=facts, sources=sources
+            out,
+            settings,
+            resume=resume,
+            command=command,
+            limits=limits,
+            facts=facts,
+            sources=sources,
         )
         self.path = self._directory.path
         self._budget: int | None = limits.get("budget")
@@ -74,17 +79,12 @@ class SavedRun:
             self._directory.write_target(
                 picture(optimizer, target), _in_user_values(optimizer, target)
             )
-            self._directory.begin(None)
+            self._directory.begin()
             refused.pop_all()
         return record
 
     def restore(self, optimizer: FIDE) -> Record | None:
-        """Put the optimizer into the state that was saved; None without one.
-
-        Raises CheckpointError (a ValueError); RunDirectoryError (a FileExistsError) if a loss or an
-        encoder of the user's own gives other values than it did, as far as that shows: that of the
-        best image, and of the target.
-        """
+        """Put the optimizer into the state that was saved; None without one."""
         there = self._directory.facts.get("features", [])
         if there and not np.allclose(there, features_of(optimizer), rtol=_RELATIVE, atol=_ABSOLUTE):
             raise RunDirectoryError(
@@ -115,21 +115,16 @@ class SavedRun:
         self._directory.close()
 
     def save(self, record: Record, optimizer: FIDE) -> None:
-        """Write a checkpoint, the tables and the best image, each also where another fails.
+        """Write a checkpoint, the tables and the best image, each also where another fails."""
+        self._directory.save(record, optimizer, *self._best(record, optimizer))
 
-        The checkpoint, the largest, comes last; but the first one first, so that a kill leaves no
-        tables without one.
-        """
-        writes: list[Callable[[], object]] = [
-            lambda: self.write_tables(record, optimizer),
-            lambda: self._directory.save(record, optimizer),
-        ]
-        try_each(*(writes if is_saved(self.path) else reversed(writes)))
+    def _best(self, record: Record, optimizer: FIDE) -> tuple[Float32 | None, Float32 | None]:
+        best = None if record.image is None else picture(optimizer, record.image)
+        return best, _in_user_values(optimizer, record.image)
 
     def write_tables(self, record: Record, optimizer: FIDE) -> None:
         """Write the tables and the best image."""
-        best = None if record.image is None else picture(optimizer, record.image)
-        self._directory.write_tables(record, best, _in_user_values(optimizer, record.image))
+        self._directory.write_tables(record, *self._best(record, optimizer))
 
     def leave(
         self,
@@ -164,7 +159,6 @@ class SavedRun:
         try_each(*(writes if state == "finished" else reversed(writes)))  # a kill may come soon
 
     def _write_summary(self, result: RunResult, optimizer: FIDE) -> None:
-        """Write the summary, with views side by side."""
         first, best = (
             None if image is None else picture(optimizer, image)
             for image in (result.first_image, result.image)
@@ -283,7 +277,6 @@ def _verdict(record: Record, optimizer: FIDE) -> Verdict:
 
 
 def _recorded(value: Any) -> Any:
-    """A value of an option as JSON has it."""
     if value is None or isinstance(value, bool | int | float | str):
         return value
     if isinstance(value, os.PathLike):
@@ -376,8 +369,6 @@ def _text(value: object) -> str:
 
 
 class _Known(NamedTuple):
-    """What only the optimizer knows."""
-
     solutions: list[Solution]
     status: Status
     weights: Any
@@ -410,7 +401,6 @@ def _best(
     views: Any,
     values: ValueRange | None,
 ) -> Solution | None:
-    """The best candidate, with what the solutions know of it."""
     if record.x_best is None:
         return None
     known = next((one for one in solutions if np.array_equal(one.x, record.x_best)), None)
@@ -460,7 +450,6 @@ def _picture(path: Path) -> Float32:
 
 
 def _cut(picture: Float32, views: Any) -> Any:
-    """Views of a picture of them side by side."""
     if views is None:
         return picture
     parts = np.split(picture, np.cumsum([width for _, width in views])[:-1], axis=1)

@@ -9,7 +9,7 @@ Budget, time and the other rules are no settings: a fit that was stopped by one 
 `stop_at`           the best loss is at most this
 `until="solved"`    the image equals the target but for what no eye sees (`views.solved`), or what
                     is left is noise of the target and the search has found its answer as well as
-                    this allows (`_is_settled`); noise of the renderer alone ends no such fit
+                    this allows (`_is_converged`); noise of the renderer alone ends no such fit
 `until="stalled"`   the same, or nothing more is to be expected (see `_is_stalled`)
 `until="budget"`    none of these: budget, time and `stop_at` alone
 ==================  ===============================================================================
@@ -91,11 +91,11 @@ class Stopping:
         if len(losses) % optimizer.popsize:
             return None
         # to look for noise takes time, so it is not done while the loss still falls
-        settled = _is_settled(losses, best, optimizer)
-        if not settled and (self.until == "solved" or _has_fallen(optimizer)):
+        converged = _is_converged(losses, best, optimizer)
+        if not converged and (self.until == "solved" or _has_fallen(optimizer)):
             return None
         code = optimizer.status.code
-        if settled and code == "noise":
+        if converged and code == "noise":
             return code
         return "stalled" if self.until == "stalled" and _is_stalled(code, optimizer) else None
 
@@ -117,14 +117,13 @@ def _is_solved(optimizer: FIDE) -> bool:
 
 
 def _has_fallen(optimizer: FIDE) -> bool:
-    """Whether the best loss is of the last generation."""
     state = optimizer.state
     if state.best is None:
         return False
     return state.evaluations - state.best.solution.evaluation <= optimizer.popsize
 
 
-def _is_settled(losses: Sequence[float], best: float, optimizer: FIDE) -> bool:
+def _is_converged(losses: Sequence[float], best: float, optimizer: FIDE) -> bool:
     """Whether the search knows the answer as well as noise of the target allows.
 
     By noise alone the loss of the right parameters exceeds the lowest one by d / n of it, for d
@@ -133,7 +132,7 @@ def _is_settled(losses: Sequence[float], best: float, optimizer: FIDE) -> bool:
     lowest loss.
 
     Losses of a renderer with noise scatter by (2 / n)^(1/2) of themselves, far more, so its fit is
-    not settled.  It goes on on purpose: the lowest loss is partly luck there, and more renders
+    not converged.  It goes on on purpose: the lowest loss is partly luck there, and more renders
     bring the mean of the search, `recommend`, nearer to the truth.
     """
     within = best + abs(best) * optimizer.dim / optimizer.views.numbers

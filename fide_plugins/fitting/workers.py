@@ -1,4 +1,4 @@
-"""Where renders happen: in this process, in threads, in any executor of `concurrent.futures`, in Dask.
+"""Where renders happen: in this process, in threads, in an executor, in a cluster of Dask.
 
 Processes of our own, each of which can be killed and replaced by itself, are in `processes`.
 """
@@ -222,7 +222,7 @@ class OfExecutor:
 
     @property
     def usable(self) -> int:
-        """How many workers are not held by a render that was abandoned."""
+        """How many workers do not hang in a render that was abandoned."""
         self._hanging = [task for task in self._hanging if not task.done()]
         return self.number - len(self._hanging)
 
@@ -252,7 +252,7 @@ class OfExecutor:
     def began(self, task: Task) -> float | None:
         """Time at which it began, not that of waiting in the executor's queue.
 
-        The clock of one that has not begun starts anew whenever another one begins or ends: it runs
+        The clock of one that has not begun starts again when another one begins or ends: it runs
         out where all workers of the executor hang.  A `ProcessPoolExecutor` takes one render more
         than it has processes for begun.  Some executors (Dask's) never tell what has begun: there
         it is the time at which it was submitted.
@@ -299,8 +299,6 @@ class OfExecutor:
 
 
 class _Clock:
-    """When a render was asked for, and when it began (`time.monotonic`); None: not known."""
-
     def __init__(self) -> None:
         self.asked = time.monotonic()
         self.began: float | None = None
@@ -349,8 +347,6 @@ def workers_for(
     executor: None or "processes", "threads", an executor of `concurrent.futures`, or what has a
         method `get_executor`, as Dask's Client.
     timeout: of a render, which this process does not have.
-
-    Raises OptionError (a ValueError).
     """
     if number == 0:
         if executor is not None:
@@ -358,40 +354,33 @@ def workers_for(
         if timeout is not None:
             raise OptionError("timeout needs a worker that can be killed: give workers >= 1")
         return InThisProcess(renderer)
-    if executor is None:
-        return _processes_or_threads(renderer, number)
-    if executor == "processes":
-        return _processes(renderer, number)
+    if executor in (None, "processes"):
+        return _processes(renderer, number, or_threads=executor is None)
     if executor == "threads":
         return _threads(renderer, number)
     return OfExecutor(_as_executor(executor), renderer, number, own=False)
 
 
-def _processes_or_threads(renderer: _Renderer, number: int) -> Workers:
+def _processes(renderer: _Renderer, number: int, or_threads: bool) -> Workers:
+    """Processes; where there can be none, threads with a warning, or OptionError."""
     if current_process().daemon:
+        if not or_threads:
+            raise OptionError(f"{DAEMON}; {_REMEDY}")
         warn_user(f"{DAEMON}, so render runs in threads of this one; to silence this, {_REMEDY}")
         return _threads(renderer, number)
     try:
         return Processes(renderer, number)
     except Exception as error:  # whatever the user's objects raise when they are pickled
+        what = f"render cannot be sent to other processes ({type(error).__name__}: {error})"
+        if not or_threads:
+            raise OptionError(
+                f"{what}; make what it needs inside of it, or give executor='threads'"
+            ) from error
         warn_user(
-            f"render cannot be sent to other processes ({type(error).__name__}: {error}), so it "
-            "runs in threads of this one; to silence this, give executor='threads', or make what "
-            "it needs inside of it"
+            f"{what}, so it runs in threads of this one; to silence this, give "
+            "executor='threads', or make what it needs inside of it"
         )
         return _threads(renderer, number)
-
-
-def _processes(renderer: _Renderer, number: int) -> Workers:
-    if current_process().daemon:
-        raise OptionError(f"{DAEMON}; {_REMEDY}")
-    try:
-        return Processes(renderer, number)
-    except Exception as error:
-        raise OptionError(
-            f"render cannot be sent to other processes ({type(error).__name__}: {error}); make "
-            "what it needs inside of it, or give executor='threads'"
-        ) from error
 
 
 def _threads(renderer: _Renderer, number: int) -> Workers:

@@ -12,6 +12,9 @@ drawn here, from a generator of one's own.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeAlias
+
 import torch
 from torch import Tensor
 
@@ -26,6 +29,10 @@ _NOISE = 0.02  # standard deviation, at most
 _OCCLUDED = 0.3  # side of what is in front, of the image's, at most
 
 
+Change: TypeAlias = Callable[..., Tensor]
+"""Images (n, 3, H, W), more tensors, and a generator -> images."""
+
+
 def augmented(images: Tensor, generator: torch.Generator, augment: str = "photograph") -> Tensor:
     """Images (B, 3, H, W) in [0, 1] with small changes; same generator, same changes.
 
@@ -34,39 +41,46 @@ def augmented(images: Tensor, generator: torch.Generator, augment: str = "photog
     """
     images = images.clone()
     for change, share in _CHANGES[augment]:
-        which = torch.randperm(len(images), generator=generator, device=generator.device)[
-            : int(share * len(images))
-        ]
-        if len(which):
-            images[which] = change(images[which], generator)
+        change_some(images, change, share, generator)
     return images.clamp_(0.0, 1.0)
 
 
-def _uniform(n: int, values: int, low: float, high: float, generator: torch.Generator) -> Tensor:
+def change_some(
+    images: Tensor, change: Change, share: float, generator: torch.Generator, *others: Tensor
+) -> None:
+    """Change a share of the images (B, 3, H, W) in place; others: (B, ...), what `change` needs."""
+    every = torch.randperm(len(images), generator=generator, device=generator.device)
+    which = every[: int(share * len(images))]
+    if len(which):
+        images[which] = change(images[which], *(one[which] for one in others), generator)
+
+
+def uniform(n: int, values: int, low: float, high: float, generator: torch.Generator) -> Tensor:
     """Numbers (n, values)."""
     drawn = torch.rand(n, values, generator=generator, device=generator.device, dtype=torch.float32)
     return low + (high - low) * drawn
 
 
-def _in_front(images: Tensor, generator: torch.Generator) -> Tensor:
+def in_front(images: Tensor, generator: torch.Generator) -> Tensor:
     """With one rectangle of one color, anywhere, also in part outside."""
     n, _, height, width = images.shape
-    center, color = (_uniform(n, k, 0.0, 1.0, generator) for k in (2, 3))
-    half = _uniform(n, 2, 0.0, _OCCLUDED / 2, generator)
+    center, color = (uniform(n, k, 0.0, 1.0, generator) for k in (2, 3))
+    half = uniform(n, 2, 0.0, _OCCLUDED / 2, generator)
     inside = [
-        (_middles(side, images.device) - center[:, i : i + 1]).abs() < half[:, i : i + 1]
+        (middles(side, images.device) - center[:, i : i + 1]).abs() < half[:, i : i + 1]
         for i, side in enumerate((height, width))
     ]
     hidden = inside[0][:, None, :, None] & inside[1][:, None, None, :]
     return torch.where(hidden, color[:, :, None, None], images)
 
 
-def _middles(pixels: int, device: torch.device) -> Tensor:
+def middles(pixels: int, device: torch.device) -> Tensor:
+    """Of pixels along a side, in [0, 1]."""
     return (torch.arange(pixels, device=device, dtype=torch.float32) + 0.5) / pixels
 
 
 def _shifted(images: Tensor, generator: torch.Generator) -> Tensor:
-    shift = _uniform(len(images), 2, -_SHIFT, _SHIFT, generator)
+    shift = uniform(len(images), 2, -_SHIFT, _SHIFT, generator)
     from kornia.geometry import translate
 
     moved: Tensor = translate(images, shift, padding_mode="border")
@@ -74,7 +88,7 @@ def _shifted(images: Tensor, generator: torch.Generator) -> Tensor:
 
 
 def _blurred(images: Tensor, generator: torch.Generator) -> Tensor:
-    sigma = _uniform(len(images), 1, *_BLUR, generator).expand(-1, 2)
+    sigma = uniform(len(images), 1, *_BLUR, generator).expand(-1, 2)
     from kornia.filters import gaussian_blur2d
 
     soft: Tensor = gaussian_blur2d(images, 3, sigma, border_type="replicate")
@@ -84,13 +98,13 @@ def _blurred(images: Tensor, generator: torch.Generator) -> Tensor:
 def _exposed(images: Tensor, generator: torch.Generator) -> Tensor:
     """Brighter or darker, and of another white."""
     n = len(images)
-    gain = 1 + _uniform(n, 1, -_EXPOSURE, _EXPOSURE, generator)
-    balance = 1 + _uniform(n, 3, -_BALANCE, _BALANCE, generator)
+    gain = 1 + uniform(n, 1, -_EXPOSURE, _EXPOSURE, generator)
+    balance = 1 + uniform(n, 3, -_BALANCE, _BALANCE, generator)
     return images * (gain * balance)[:, :, None, None]
 
 
 def _saturated(images: Tensor, generator: torch.Generator) -> Tensor:
-    factor = 1 + _uniform(len(images), 1, -_SATURATION, _SATURATION, generator)[:, 0]
+    factor = 1 + uniform(len(images), 1, -_SATURATION, _SATURATION, generator)[:, 0]
     from kornia.enhance import adjust_saturation_with_gray_subtraction
 
     changed: Tensor = adjust_saturation_with_gray_subtraction(images, factor)
@@ -98,7 +112,7 @@ def _saturated(images: Tensor, generator: torch.Generator) -> Tensor:
 
 
 def _noisy(images: Tensor, generator: torch.Generator) -> Tensor:
-    deviation = _uniform(len(images), 1, 0.0, _NOISE, generator)[:, :, None, None]
+    deviation = uniform(len(images), 1, 0.0, _NOISE, generator)[:, :, None, None]
     noise = torch.randn(
         images.shape, generator=generator, device=generator.device, dtype=images.dtype
     )
@@ -109,7 +123,7 @@ _CHANGES = {  # in the order of what happens: the scene, the lens, the sensor
     "none": (),
     "render": ((_blurred, 1 / 2), (_noisy, 1 / 2)),
     "photograph": (
-        (_in_front, 1 / 4),
+        (in_front, 1 / 4),
         (_shifted, 1 / 2),
         (_blurred, 1 / 2),
         (_exposed, 1 / 2),

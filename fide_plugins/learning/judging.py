@@ -310,6 +310,7 @@ class Report:
         several, or blocks are exchangeable.
     emulated: share of the variance of held-out renders that the emulator explains; None without
         an emulator.
+    clutter: what renders were composed with, in words; None: nothing.
     """
 
     renders: int
@@ -327,13 +328,14 @@ class Report:
     fitted: int
     parameters: int
     emulated: float | None
+    clutter: str | None = None
 
     def __str__(self) -> str:
         judges = self.held_out - self.fitted  # held-out renders that did not choose the scale
         chosen = "" if len(self.curve) < 2 else ", which also chose the pass"  # others are worse
         lines = [
             f"{self.renders:,} renders, {len(self.curve)} passes in {self.seconds:,.0f} s, "
-            f"augment={self.augment!r}"
+            f"augment={self.augment!r}" + ("" if self.clutter is None else f", {self.clutter}")
         ]
         if self.failed:
             what = "render failed and was" if self.failed == 1 else "renders failed and were"
@@ -475,14 +477,14 @@ def report_of(
     names: (d,), of the axes.  failed: renders that failed.  emulated: see `Report`.
     on_progress: called with stage, done and total of a `LearnProgress`, after each picture.
     """
-    x, images, seed = training.x, training.images, training.seed
+    x, seed = training.x, training.seed
     aside = is_held_out(len(x))
     fit, judges = split_held_out(aside)
-    network.scale = fitted_scale(
-        network, x[fit], images[fit], seed, partial(on_progress, "calibrate")
-    )
+    images = training.shown(np.flatnonzero(fit))
+    network.scale = fitted_scale(network, x[fit], images, seed, partial(on_progress, "calibrate"))
+    images = training.shown(np.flatnonzero(judges))
     judged = _judged(
-        network, x[judges], images[judges], names, distance, seed, partial(on_progress, "judge")
+        network, x[judges], images, names, distance, seed, partial(on_progress, "judge")
     )
     return Report(
         renders=int((~aside).sum()),
@@ -494,6 +496,7 @@ def report_of(
         scale=network.scale,
         fitted=int(fit.sum()),
         emulated=emulated,
+        clutter=None if training.clutter is None else training.clutter.name,
         **judged,
     )
 
@@ -545,11 +548,12 @@ def _judged(
     }
 
 
-def familiarity_of(network: Network, images: Pixels) -> Familiarity:
-    """Familiarity of the renders (n, H, W, 3) of a training, the held-out ones among them."""
-    aside = is_held_out(len(images))
+def familiarity_of(network: Network, training: Training) -> Familiarity:
+    """Familiarity of the renders of a training, the held-out ones among them."""
+    aside = is_held_out(len(training.x))
     learned = np.flatnonzero(~aside)[:_MOST_FEATURES]  # of all images a copy would be large
-    return Familiarity.of(_features(network, images[learned]), _features(network, images[aside]))
+    others = training.shown(np.flatnonzero(aside))
+    return Familiarity.of(_features(network, training.shown(learned)), _features(network, others))
 
 
 def _features(network: Network, images: Pixels) -> Float64:

@@ -24,6 +24,7 @@ import torch
 
 from fide_plugins.errors import DeviceMemoryError, OptionError, UnknownNameError
 from fide_plugins.learning.augmentation import AUGMENT, check_installed
+from fide_plugins.learning.clutter import Clutter, clutter_of
 from fide_plugins.learning.emulator import Emulator
 from fide_plugins.learning.judging import Distance, familiarity_of, report_of
 from fide_plugins.learning.model import Model
@@ -91,10 +92,12 @@ def _check_alike(blocks: Sequence[Sequence[int]], periodic: Sequence[bool]) -> N
                 )
 
 
-def has_emulator(emulator: bool | None, blocks: Sequence[Sequence[int]]) -> bool:
+def has_emulator(
+    emulator: bool | None, blocks: Sequence[Sequence[int]], clutter: bool = False
+) -> bool:
     """Whether a learned renderer is trained; None: where there are exchangeable blocks.
 
-    Raises OptionError for what is no bool or None, and for an emulator without blocks.
+    Raises OptionError for what is no bool or None, and for one without blocks or with clutter.
     """
     if not (emulator is None or isinstance(emulator, bool)):
         raise OptionError(f"emulator is True, False or None, not {emulator!r}")
@@ -102,7 +105,9 @@ def has_emulator(emulator: bool | None, blocks: Sequence[Sequence[int]]) -> bool
         raise OptionError(
             "an emulator needs exchangeable blocks: give groups, or leave out emulator"
         )
-    return bool(blocks) if emulator is None else emulator
+    if emulator and clutter:
+        raise OptionError("an emulator imitates renders without clutter: leave out one of the two")
+    return bool(blocks) and not clutter if emulator is None else emulator
 
 
 _OUTSIDE = 0.02  # of the posterior's samples; with less the tails of a young model fill the cube
@@ -232,6 +237,7 @@ class Plan:
     augment: str
     device: torch.device
     emulates: bool
+    clutter: Clutter | None = None
     region: Truncated | None = None
 
     def check(self, store_limit: float) -> None:
@@ -247,12 +253,13 @@ class Plan:
             return
         self.region.model.check_space(self.renderer.space or self.renderer.dim)
         there = self.region.store.settings
-        for name in ("renderer", "size", "version"):
-            first = name == "version" and there[name] is None  # stated now: images are compared
-            if there[name] != self.settings[name] and not first:
+        for name in ("renderer", "size", "version", "coverage"):
+            one, other = there.get(name), self.settings.get(name)
+            first = name == "version" and one is None  # stated now: images are compared
+            if one != other and not first:
                 raise OptionError(
-                    f"the {name} of the model is {there[name]!r}, and here {self.settings[name]!r}"
-                    ": both rounds must have the same"
+                    f"the {name} of the model is {one!r}, and here {other!r}: both rounds must "
+                    "have the same"
                 )
 
     @property
@@ -261,6 +268,7 @@ class Plan:
         space = self.renderer.space
         return {
             **({} if self.region is None else self.region.settings),
+            **({"coverage": True} if self.renderer.coverage else {}),
             "dim": self.renderer.dim,
             "size": list(self.size),
             "seed": self.seed,
@@ -306,7 +314,7 @@ class Plan:
             network=network, space=self.renderer.space, shape=self.shape,
             renderer=self.renderer.name, version=self.version, head=self.head,
             periodic=self.renderer.periodic, blocks=self.blocks,
-            familiarity=familiarity_of(network, images), report=report,
+            familiarity=familiarity_of(network, density), report=report,
             fingerprint=fingerprint_of(self.renderer.source), emulator=emulator,
             picture=None if self.region is None else pixels_of(self.region.picture, self.size),
         )  # fmt: skip
@@ -318,8 +326,9 @@ class Plan:
         network = Network(self.size, self.renderer.periodic, self.head, self.blocks, self.seed)
         left = self._left(_DENSITY if self.emulates else 1.0)
         training = Training(
-            network.to(self.device), x, images, self.passes, self.seed, left, augment=self.augment
-        )
+            network.to(self.device), x, images, self.passes, self.seed, left,
+            augment=self.augment, clutter=self.clutter,
+        )  # fmt: skip
         over = self.emulates and self._resumable(folder, "emulator", len(x)).interrupted
         self._resumable(folder, "training", len(x)).run(training, self._say("train"), over=over)
         network.to("cpu").eval()
@@ -354,6 +363,7 @@ class Plan:
             "renders": renders, "passes": self.passes, "head": name if own else self.head,
             "seed": self.seed, "augment": "none" if own else self.augment,
             "blocks": [list(block) for block in self.blocks],
+            **({} if self.clutter is None else {"clutter": self.clutter.digest}),
         }  # fmt: skip
         return Resumable(folder / name, plan)
 
@@ -416,6 +426,8 @@ def learn(
     device: str | torch.device = "auto",
     after: str | os.PathLike[str] | None = None,
     picture: object = None,
+    backgrounds: str | os.PathLike[str] | Sequence[object] | None = None,
+    clutter: bool | None = None,
     on_progress: Callable[[LearnProgress], None] | None = None,
 ) -> Model:
     """Learn once what pictures say of a renderer's parameters, for every later picture.
@@ -479,6 +491,14 @@ def learn(
         for a second round: file of a model, with its renders beside it.  New renders are drawn
         where its posterior of the picture is, see `Truncated`, and learned with the old
         ones.  What comes of it is a model of that picture.
+    backgrounds
+        what photographs have behind the object: a folder of pictures, a list of them, or
+        "generated".  Each pass puts every render onto other parts of them; `render` says what it
+        draws: it returns RGBA, or a pair of the image and its coverage (H, W) in [0, 1].
+    clutter
+        whether rims, shadows, things in front, light, blur and noise change as well, by more than
+        `augment`; None: where there are backgrounds.  With True alone backgrounds are generated,
+        or left as they are where renders have no coverage.
     on_progress
         called after every shard of renders, after every pass, and after every held-out picture that
         calibrates or judges the model.
@@ -509,15 +529,19 @@ def learn(
     trains_on = resolve_device(device)
     renderer = as_renderer(render, space)
     version, (head, blocks) = version_for(renderer, version), kind_of(renderer, groups, head)
-    emulates = has_emulator(emulator, blocks)
+    composed = clutter_of(backgrounds, clutter, seed)
+    emulates = has_emulator(emulator, blocks, composed is not None)
     region = _region(after, picture, seed)
-    shape = renderer.first_shape()
+    shape, coverage = renderer.first_shape()
+    if composed is not None and not coverage:
+        composed = _without_coverage(composed, backgrounds)
+    renderer = replace(renderer, shape=shape, coverage=composed is not None and coverage)
     plan = Plan(
-        renderer=replace(renderer, shape=shape), shape=shape, size=small_size(shape, size),
+        renderer=renderer, shape=shape, size=small_size(shape, size),
         renders=renders, passes=passes, workers=workers, executor=executor, seed=seed,
         version=version, head=head, blocks=blocks, seconds=seconds, start=clock.monotonic(),
         on_progress=on_progress or (lambda progress: None), augment=augment, device=trains_on,
-        emulates=emulates, region=region,
+        emulates=emulates, clutter=composed, region=region,
     )  # fmt: skip
     plan.check(store_limit)
     with folder_of(out) as folder:
@@ -527,6 +551,16 @@ def learn(
     if out is not None:
         model.save(out)
     return model
+
+
+def _without_coverage(clutter: Clutter, backgrounds: object) -> Clutter:
+    """Clutter of renders without a coverage; OptionError where there are backgrounds."""
+    if backgrounds is not None:
+        raise OptionError(
+            "backgrounds need renders that say what they draw: return RGBA (H, W, 4), or the "
+            "image and its coverage (H, W) in [0, 1]; or give clutter=True without backgrounds"
+        )
+    return replace(clutter, backgrounds=(), name="clutter without backgrounds")
 
 
 def _region(after: str | os.PathLike[str] | None, picture: object, seed: int) -> Truncated | None:

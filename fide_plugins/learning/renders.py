@@ -6,7 +6,8 @@ and whatever was interrupted.
 
     settings          what the renders are of, a checked file (`runtime.checkpoint`), written
                       before the first shard
-    000000.npz, ...   x (n, d) float64 and images (n, H, W, 3) uint8; failed renders are left out
+    000000.npz, ...   x (n, d) float64 and images (n, H, W, 3) uint8; failed renders are left out;
+                      a fourth channel has the coverage, and colors are multiplied by it
 
 A model that learns images of two renderers learns neither.  So before renders are added to a
 folder, some of those that are there are rendered again (`check_images`).  That also notices what no
@@ -50,7 +51,7 @@ from fide_plugins.runtime.registry import (
 )
 from fide_plugins.space import Space
 from fide_plugins.types import Float32, Float64, Mask
-from fide_plugins.validation.images import as_target
+from fide_plugins.validation.images import alpha_of, as_target
 from fide_plugins.validation.points import number_of_parameters
 
 Pixels = npt.NDArray[np.uint8]
@@ -71,6 +72,7 @@ class BatchRenderer:
     dim: d.
     name: of the function, or of the task.
     shape: height and width of its images; others of that aspect are taken, too.  None: of any.
+    coverage: whether images are kept with what they cover, see `covered`.
     """
 
     source: Any
@@ -78,6 +80,7 @@ class BatchRenderer:
     dim: int
     name: str
     shape: tuple[int, int] | None = None
+    coverage: bool = False
 
     @property
     def periodic(self) -> tuple[bool, ...]:
@@ -119,8 +122,8 @@ class BatchRenderer:
     def _one(self, x: Float64) -> Any:
         return self.source(x.copy() if self.space is None else self.space.decode(x))
 
-    def first_shape(self) -> tuple[int, int]:
-        """Height and width of the image of the middle of the cube.
+    def first_shape(self) -> tuple[tuple[int, int], bool]:
+        """Height and width of the image of the middle of the cube, and whether it has a coverage.
 
         Where that one fails, of the image of one of a few other points.  Raises RenderError if the
         renderer fails for all of them, ImageError if it gives no image.
@@ -133,8 +136,8 @@ class BatchRenderer:
                     return self._shape_at(x)
             raise
 
-    def _shape_at(self, x: Float64) -> tuple[int, int]:
-        """Height and width of the image of a point; errors are those of the first, the middle."""
+    def _shape_at(self, x: Float64) -> tuple[tuple[int, int], bool]:
+        """As `first_shape`, of the image of a point; errors are those of the first, the middle."""
         try:
             batch = hasattr(self.source, "render")
             image = self.source.render(x[None])[0] if batch else self._one(x)
@@ -144,11 +147,22 @@ class BatchRenderer:
                 f"{self.name} failed in the middle of the space, and at {_OTHERS} other points: "
                 f"{why}"
             ) from error
-        height, width, _ = self._canonical(image).shape
-        return height, width
+        found = covered(image, self._what)
+        height, width, _ = (self._canonical(image) if found is None else found).shape
+        return (height, width), found is not None
+
+    @property
+    def _what(self) -> str:
+        return f"the image of {self.name}"
 
     def _canonical(self, image: Any) -> Float32:
-        return as_target(image, what=f"the image of {self.name}")
+        """Image (H, W, 3), or (H, W, 4) as `covered` has it, where that is kept."""
+        if not self.coverage:
+            return as_target(image[0] if _is_pair(image) else image, what=self._what)
+        found = covered(image, self._what)
+        if found is None:
+            raise ImageError(f"{self._what} has no coverage, and the first one had: give all one")
+        return found
 
     def _small(self, image: Any, size: tuple[int, int]) -> Small:
         if isinstance(image, Failed):
@@ -164,6 +178,39 @@ class BatchRenderer:
                 f"the first one had {self.shape[1]} x {self.shape[0]}"
             )
         return pixels_of(whole, size)
+
+
+def _is_pair(image: Any) -> bool:
+    """Whether it is an image with its coverage."""
+    return isinstance(image, tuple) and len(image) == 2
+
+
+def covered(image: Any, what: str) -> Float32 | None:
+    """Colors times the coverage, and the coverage (H, W, 4) of a render; None if it has none.
+
+    image: RGBA (H, W, 4), or a pair of an image and its coverage (H, W) in [0, 1].
+
+    Raises ImageError, also for a coverage of another size.
+    """
+    if _is_pair(image):
+        colors = as_target(image[0], what=what)
+        coverage = as_target(image[1], what=f"the coverage of {what}")[..., :1]
+        if coverage.shape[:2] != colors.shape[:2]:
+            (h, w), (height, width) = coverage.shape[:2], colors.shape[:2]
+            raise ImageError(
+                f"the coverage of {what} has {w} x {h} pixels (width x height), and the image "
+                f"{width} x {height}: give both one size, or return RGBA"
+            )
+        return np.concatenate([colors * coverage, coverage], axis=2)
+    shape: tuple[int, ...] = getattr(image, "shape", ())
+    if len(shape) != 3 or 4 not in (shape[-1], shape[0]):
+        return None
+    try:
+        coverage = alpha_of(image, what)[..., None]
+    except ImageError:  # of three channels, and four pixels high
+        return None
+    colors = as_target(image, what=what, behind=0.0)
+    return np.concatenate([colors, coverage], axis=2)
 
 
 def _briefly(error: BaseException) -> Failed:
@@ -288,6 +335,11 @@ class RenderStore:
         height, width = self.settings["size"]
         return height, width
 
+    @property
+    def channels(self) -> int:
+        """Of the images: 4 where they have a coverage, see `covered`."""
+        return 4 if self.settings.get("coverage") else 3
+
     def parameters(self, shard: int) -> Float64:
         """Parameters (SHARD, d) of a shard, the same each time."""
         if shard not in self._drawn:
@@ -314,7 +366,7 @@ class RenderStore:
         """
         kept = [image for image in images if not isinstance(image, Failed)]
         good = np.array([not isinstance(image, Failed) for image in images], bool)
-        pixels = np.array(kept, np.uint8).reshape(len(kept), *self.size, 3)
+        pixels = np.array(kept, np.uint8).reshape(len(kept), *self.size, self.channels)
         if not self._agreed:
             if self._all():
                 self._agree()
@@ -334,7 +386,7 @@ class RenderStore:
         there = self._all()
         picked = [there[k * len(there) // most] for k in range(most)] if there else []
         parts = [self._some(shard, picked.count(shard)) for shard in dict.fromkeys(picked)]
-        empty = np.empty((0, *self.size, 3), np.uint8)
+        empty = np.empty((0, *self.size, self.channels), np.uint8)
         return (
             np.concatenate([np.empty((0, self.settings["dim"])), *(x for x, _, _ in parts)]),
             [seed for _, seeds, _ in parts for seed in seeds],
@@ -380,7 +432,7 @@ class RenderStore:
         """
         parts = [self._read(i) for i in self._present(renders)]
         x = np.concatenate([x for x, _ in parts]) if parts else np.empty((0, self.settings["dim"]))
-        images = np.empty((len(x), *self.size, 3), np.uint8)
+        images = np.empty((len(x), *self.size, self.channels), np.uint8)
         start = 0
         while parts:  # each is dropped when it was copied
             _, some = parts.pop(0)
@@ -400,7 +452,11 @@ class RenderStore:
     def _read(self, shard: int) -> tuple[Float64, Pixels]:
         arrays = self._load(shard, "x", "images")
         x, images = arrays["x"], arrays["images"]
-        if x.shape != (len(x), self.settings["dim"]) or images.shape != (len(x), *self.size, 3):
+        if x.shape != (len(x), self.settings["dim"]) or images.shape != (
+            len(x),
+            *self.size,
+            self.channels,
+        ):
             path = self._path(shard)
             raise CheckpointError(f"{path}: of another space or size; delete it to render again")
         return x, images
@@ -456,7 +512,7 @@ def folder_of(out: str | os.PathLike[str] | None) -> Iterator[Path]:
 def check_room(settings: Mapping[str, Any], renders: int, limit: float) -> None:
     """Raise OptionError if so many renders would exceed a limit, bytes."""
     height, width = settings["size"]
-    size = renders * height * width * 3
+    size = renders * height * width * (4 if settings.get("coverage") else 3)
     if size > limit:
         raise OptionError(
             f"{renders:,} renders of {width} x {height} pixels take {size / 2**30:.3g} GiB, and "
@@ -576,7 +632,7 @@ def _images(
 
     seeds: of the noise, (k, n).  An image whose render failed is NaN.
     """
-    images, failure = np.full((len(seeds), len(x), *store.size, 3), np.nan), None
+    images, failure = np.full((len(seeds), len(x), *store.size, store.channels), np.nan), None
     for some, of_seed in zip(images, seeds, strict=True):
         for place, image in zip(some, renderer.small(x, of_seed, store.size), strict=True):
             if isinstance(image, Failed):

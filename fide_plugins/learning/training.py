@@ -22,6 +22,7 @@ from torch import Tensor, nn
 
 from fide_plugins.errors import CheckpointError
 from fide_plugins.learning.augmentation import augmented
+from fide_plugins.learning.clutter import Clutter
 from fide_plugins.learning.networks import Trainable, as_input
 from fide_plugins.learning.renders import Pixels
 from fide_plugins.runtime import checkpoint
@@ -70,6 +71,7 @@ class Training:
     x, images: renders (n, d) and (n, H, W, 3).
     passes: at most.  seconds: at most, for the schedule too; None: no limit.
     augment: how much images are changed, see `augmentation`.
+    clutter: what renders are composed with, anew in each pass; those that judge once.
     curve: see `Curve`.  passed: passes done.  spent: seconds that they took.
     extended: whether a longer schedule, or more time, took the place of one that was over.  It is
         not ended early: its rate is high again, and held-out renders are better only when it has
@@ -84,6 +86,7 @@ class Training:
     seconds: float | None = None
     batch: int = _BATCH
     augment: str = "photograph"
+    clutter: Clutter | None = None
     learning_rate: float = 1e-3
     curve: Curve = field(default_factory=list)
     passed: int = 0
@@ -96,8 +99,8 @@ class Training:
         self._optimizer = torch.optim.AdamW(
             self.network.parameters(), lr=self.learning_rate, weight_decay=0.01, fused=True
         )
-        first = self._train[:_STANDARD]
-        self.network.standardize(as_input(self.images[first]))  # too many for a GPU
+        self.network.standardize(as_input(self.shown(self._train[:_STANDARD])))  # not on a GPU
+        self._judges = self.shown(self._test)
         self._best, self._best_weights = math.inf, _copy(self.network)
 
     def run(
@@ -164,17 +167,25 @@ class Training:
                 break
             some = np.sort(order[first : first + self.batch])
             self._set_rate(first, start)
-            images, u = self._batch(some)
+            images, u = self._batch(self.images[some], some)
+            if self.clutter is not None:
+                images = self.clutter.composed(images, generator)
             images = augmented(images, generator, self.augment)
             loss = self.network.loss(images, u, generator)
             self._step(loss)
             total, seen = total + float(loss.detach()) * len(some), seen + len(some)
         return total / max(1, seen), seen
 
-    def _batch(self, some: Indices) -> tuple[Tensor, Tensor]:
-        """Images (B, 3, H, W) and parameters (B, d) of some renders, where the network is."""
+    def shown(self, rows: Indices) -> Pixels:
+        """Images (n, H, W, 3) of some rows (n,), with clutter if there is some."""
+        if self.clutter is None:
+            return self.images[rows]
+        return self.clutter.fixed(self.images, rows, self.seed)
+
+    def _batch(self, images: Pixels, some: Indices) -> tuple[Tensor, Tensor]:
+        """Images (B, C, H, W) and parameters (B, d) of some renders, where the network is."""
         device, u = self.network.device, torch.from_numpy(self.x[some].astype(np.float32))
-        return as_input(self.images[some], device), u.to(device)
+        return as_input(images, device), u.to(device)
 
     def _step(self, loss: Tensor) -> None:
         self._optimizer.zero_grad(set_to_none=True)
@@ -200,7 +211,8 @@ class Training:
         total = 0.0
         for first in range(0, len(self._test), _BATCH_OF_TEST):
             some = self._test[first : first + _BATCH_OF_TEST]
-            total += float(self.network.judged(*self._batch(some), generator)) * len(some)
+            batch = self._batch(self._judges[first : first + _BATCH_OF_TEST], some)
+            total += float(self.network.judged(*batch, generator)) * len(some)
         return total / max(1, len(self._test))
 
     # -- checkpoints -------------------------------------------------------------------------------

@@ -6,7 +6,7 @@ image that equals the target.  The value of an image does not depend on the rest
     >>> import numpy as np
     >>> from fide_plugins import losses
     >>> losses.names()
-    ['loi', 'lpips', 'mse', 'perceptual']
+    ['loi', 'lpips', 'mse', 'perceptual', 'texture']
     >>> mse = losses.make("mse", np.zeros((8, 8, 3)))
     >>> mse(np.full((2, 8, 8, 3), 0.5))
     array([0.25, 0.25])
@@ -21,6 +21,7 @@ Any callable from images to n numbers can serve as a loss; :func:`resolve` wraps
 `perceptual_constants`  constants of both
 `loi`                   loss `loi`: distance of locally orderless images
 `lpips`                 loss `lpips`: LPIPS 0.1
+`texture`               loss `texture`: statistics, wherever they are
 `own`                   tries a user's own loss; stands for it where it was not stored
 `scales`                Gaussian averages on coarser grids
 ======================  ==============================================================
@@ -149,3 +150,4 @@ register("loi", "fide_plugins.losses.loi:LocallyOrderlessLoss")
 register("lpips", "fide_plugins.losses.lpips:LPIPSLoss")
 register("mse", "fide_plugins.losses.mse:MeanSquaredError")
 register("perceptual", "fide_plugins.losses.perceptual:PerceptualLoss")
+register("texture", "fide_plugins.losses.texture:TextureLoss")

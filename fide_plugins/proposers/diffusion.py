@@ -39,7 +39,7 @@ from fide_plugins.denoiser.training import (
 from fide_plugins.errors import OptionError
 from fide_plugins.options import NetworkOptions
 from fide_plugins.proposers.base import Proposer, ProposerDefaults
-from fide_plugins.runtime.devices import BatchSize, as_here, resolve_device
+from fide_plugins.runtime.devices import BatchSize, on_current_stream, resolve_device
 from fide_plugins.runtime.messages import warn_user
 from fide_plugins.runtime.schema import (
     Schema,
@@ -349,7 +349,7 @@ class BackgroundProposer(ProposerDefaults):
     def update(self, x: Float64, tokens: Tensor, losses: Float64, std: Float64) -> None:
         """Begin to learn; see `Proposer`. The caller must not change the arrays any more."""
         with user_threads:
-            threads, here = torch.get_num_threads(), as_here(self._device)
+            threads, here = torch.get_num_threads(), on_current_stream(self._device)
 
         def train() -> None:
             torch.set_num_threads(threads)  # sums are the same in as many threads

@@ -11,7 +11,7 @@
     frame-N.png    the best image after N renders, small, if a film is kept
     reference.png  the image that judged the best candidate of a noisy task
     summary.png    target, first render, best image, curve
-    before-N/      results of a call that ended before there was a run.ckpt; another began anew
+    before-N/      results of a call that ended before there was a run.ckpt; another began again
     run.ckpt       state of the loop; names the file of its optimizer
     optimizer-N-M.ckpt   the optimizer after N evaluations, with M candidates pending; -N-M-F after
                    F renders that gave no image
@@ -27,7 +27,7 @@ import io
 import json
 import os
 import shlex
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from fnmatch import fnmatchcase
 from itertools import count
@@ -58,35 +58,22 @@ from fide_plugins.recording.storage import (
 )
 from fide_plugins.runtime import files, machine
 from fide_plugins.runtime.messages import warn_user
-from fide_plugins.types import Optimizer
 
 if TYPE_CHECKING:
     from fide_plugins.types import Float32, Optimizer
 
+T = TypeVar("T")
 
-def curve_table(record: Record) -> str:
-    """`curve_table.csv`: one line for each evaluation."""
-    losses, seconds = np.array(record.losses), np.array(record.seconds)
-    rows = zip(losses.tolist(), best_so_far(losses).tolist(), seconds.tolist(), strict=True)
-    lines = ["evaluation,loss,best_loss,seconds"]
-    lines += [f"{i},{loss!r},{b!r},{s:.4f}" for i, (loss, b, s) in enumerate(rows)]
-    return "\n".join(lines) + "\n"
-
-
-def improvements_table(record: Record) -> str:
-    """`improvements_table.csv`; what a metric that raised has not measured is empty."""
-    in_round = rounds(record.generations)
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")  # names of losses may need quoting
-    names = ["evaluation", "seconds", f"round_of_{WORKERS}", "loss", *record.metrics]
-    writer.writerow(names)
-    for k, i in enumerate(record.improvements):
-        others = (repr(v[k]) if k < len(v) else "" for v in record.metrics.values())
-        where = [i, f"{record.seconds[i]:.4f}", in_round[i]]
-        writer.writerow([*where, repr(record.losses[i]), *others])
-    return buffer.getvalue()
-
-
+TABLES = ("curve.csv", "improvements.csv")
+TARGET_VALUES = "target.tif"
+LIVE = "live.json"
+"""What a call says of itself between two checkpoints, see `watch.live`."""
+_RESULTS = (*TABLES, "best.png", "best.tif", "reference.png", "summary.png", CHECKPOINT)
+_WRITTEN = (
+    *_RESULTS, LIVE, TARGET_FILE, "run.json", "target.png", TARGET_VALUES, "frame-*.png",
+    "optimizer-*.ckpt", "probe",  # `check_writable`
+)  # fmt: skip
+_LOCK = ".run.lock"  # not that of a comparison, which holds its own meanwhile
 _INTERVAL = 20  # least time between two checkpoints, in times of writing one
 
 
@@ -145,21 +132,6 @@ def try_each(*writes: Callable[[], object]) -> None:
         raise first
 
 
-T = TypeVar("T")
-
-
-TABLES = ("curve.csv", "improvements.csv")
-_RESULTS = (*TABLES, "best.png", "best.tif", "reference.png", "summary.png", CHECKPOINT)
-TARGET_VALUES = "target.tif"
-LIVE = "live.json"
-"""What a call says of itself between two checkpoints, see `watch.live`."""
-_WRITTEN = (
-    *_RESULTS, LIVE, TARGET_FILE, "run.json", "target.png", TARGET_VALUES, "frame-*.png",
-    "optimizer-*.ckpt", "probe",  # `check_writable`
-)  # fmt: skip
-_LOCK = ".run.lock"  # not that of a comparison, which holds its own meanwhile
-
-
 class RunDirectory:
     """Directory of one run; made and checked before anything is rendered.
 
@@ -185,7 +157,7 @@ class RunDirectory:
         settings: dict[str, Any],
         *,
         resume: bool,
-        command: list[str] | None = None,
+        command: Sequence[str] | None = None,
         limits: dict[str, Any] | None = None,
         may_change: Collection[str] = (),
         facts: dict[str, Any] | None = None,
@@ -242,30 +214,25 @@ class RunDirectory:
 
         load: makes the optimizer of its file.
 
-        A run that ended before there was a state, on a disk that was full, begins anew; its results
+        A run that ended before there was a state, as on a full disk, begins again; its results
         are moved into a folder of their own.
-
-        Raises CheckpointError (a ValueError) if the state is damaged, or was removed.
         """
         if not is_saved(self.path):
-            self._begin_anew()
+            self._move_results_away()
             return None
         record, file = read_record(self.path, self.settings["dim"], self.settings["size"])
-        return record, self._optimizer(file, load)
-
-    def _optimizer(self, path: Path, load: Callable[[Path], T]) -> T:
         try:
-            return load(path)
+            return record, load(file)
         except FileNotFoundError as error:
-            if path.exists():  # it is another file that is missing
+            if file.exists():  # it is another file that is missing
                 raise
             raise CheckpointError(
-                f"{path}: this file of the optimizer, which {CHECKPOINT} names, is missing; copy "
+                f"{file}: this file of the optimizer, which {CHECKPOINT} names, is missing; copy "
                 "it back, or start again in another directory"
             ) from error
 
-    def _begin_anew(self) -> None:
-        """Move results away that no state belongs to; CheckpointError if there was one."""
+    def _move_results_away(self) -> None:
+        """Move results that no state belongs to; CheckpointError if there was one."""
         table = self.path / "curve.csv"
         there = self._run["resumed"] and table.exists()
         n = files.read_regular(table).count(b"\n") - 1 if there else 0
@@ -286,7 +253,6 @@ class RunDirectory:
         )
 
     def _check_no_other_files(self) -> None:
-        """Raise RunDirectoryError if there are results, of no run that is known."""
         there = results_in(self.path)
         if there:
             raise RunDirectoryError(
@@ -307,18 +273,33 @@ class RunDirectory:
 
     # -- writing -----------------------------------------------------------------------------------
 
-    def begin(self, kept: KeptTarget | None) -> None:
+    def begin(self, kept: KeptTarget | None = None) -> None:
         """Write the run down, after its target, which the record names; None: it is elsewhere."""
         if kept is not None:
             write_target(self.path / TARGET_FILE, kept)
         (self.path / LIVE).unlink(missing_ok=True)
         self.write_run()
 
-    def save(self, record: Record, optimizer: Optimizer) -> None:
-        """Write the state from which the run can continue."""
-        write_checkpoint(self.path, record, optimizer)
-        if not self._run.get("saved"):
-            self.write_run()
+    def save(
+        self,
+        record: Record,
+        optimizer: Optimizer,
+        best: Float32 | None,
+        values: Float32 | None = None,
+    ) -> None:
+        """Write a checkpoint, the tables and the best image, each also where another fails.
+
+        The checkpoint, the largest, comes last; but the first one first, so that a kill leaves no
+        tables without one.  best, values: see `write_tables`.
+        """
+
+        def write_state() -> None:
+            write_checkpoint(self.path, record, optimizer)
+            if not self._run.get("saved"):
+                self.write_run()
+
+        writes = [lambda: self.write_tables(record, best, values), write_state]
+        try_each(*(writes if is_saved(self.path) else reversed(writes)))
 
     def write_tables(
         self, record: Record, best: Float32 | None, values: Float32 | None = None
@@ -330,46 +311,27 @@ class RunDirectory:
         try_each(
             lambda: files.write_text(self.path / "curve.csv", curve_table(record)),
             lambda: files.write_text(self.path / "improvements.csv", improvements_table(record)),
-            lambda: self.write_best(best),
+            lambda: self._write_picture("best.png", best),
             lambda: self._write_values("best.tif", values),
         )
 
     def write_frame(self, mark: int, image: Float32) -> None:
         """Write `frame-N.png`, the best image after `mark` renders."""
-        from fide_plugins.recording.figures import as_png, thumbnail
+        from fide_plugins.recording.figures import thumbnail
 
-        files.write_bytes(self.path / f"frame-{mark}.png", as_png(thumbnail(image)))
+        self._write_picture(f"frame-{mark}.png", thumbnail(image))
 
     def write_target(self, image: Float32, values: Float32 | None = None) -> None:
         """Write `target.png`, and `target.tif` of its values where these are others, once."""
-        if values is not None and not (self.path / TARGET_VALUES).exists():
+        if not (self.path / TARGET_VALUES).exists():
             self._write_values(TARGET_VALUES, values)
-        if (self.path / "target.png").exists():
-            return
-        from fide_plugins.recording.figures import as_png
-
-        files.write_bytes(self.path / "target.png", as_png(image))
-
-    def write_best(self, image: Float32 | None) -> None:
-        """Write `best.png`."""
-        if image is not None:
-            from fide_plugins.recording.figures import as_png
-
-            files.write_bytes(self.path / "best.png", as_png(image))
-
-    def _write_values(self, name: str, values: Float32 | None) -> None:
-        """Write a TIFF of floats."""
-        if values is not None:
-            from fide_plugins.validation.image_files import encoded
-
-            files.write_bytes(self.path / name, encoded(values, ".tif"))
+        if not (self.path / "target.png").exists():
+            self._write_picture("target.png", image)
 
     def write_reference(self, result: RunResult) -> None:
         """Write `reference.png` if it differs from the best image of the run."""
-        from fide_plugins.recording.figures import as_png, noisy
-
-        if result.reference is not None and noisy(result):
-            files.write_bytes(self.path / "reference.png", as_png(result.reference))
+        if result.noisy:
+            self._write_picture("reference.png", result.reference)
 
     def write_summary(
         self, result: RunResult, target: Float32, counts: Float32 | None = None
@@ -386,6 +348,18 @@ class RunDirectory:
             warn_user(f"summary.png is left out: {error}")
         else:
             files.write_bytes(self.path / "summary.png", drawn)
+
+    def _write_picture(self, name: str, image: Float32 | None) -> None:
+        if image is not None:
+            from fide_plugins.recording.figures import as_png
+
+            files.write_bytes(self.path / name, as_png(image))
+
+    def _write_values(self, name: str, values: Float32 | None) -> None:
+        if values is not None:
+            from fide_plugins.validation.image_files import encoded
+
+            files.write_bytes(self.path / name, encoded(values, ".tif"))
 
     def write_run(
         self,
@@ -424,7 +398,6 @@ class RunDirectory:
 
 
 def _lock(path: Path) -> ExitStack:
-    """The lock of the run in the folder `path`; RunDirectoryError if another process has it."""
     with ExitStack() as lock:
         if not lock.enter_context(files.locked(path / _LOCK, remove=True)):
             raise RunDirectoryError(
@@ -440,10 +413,33 @@ def is_of_a_run(name: str) -> bool:
 
 
 def results_in(path: Path) -> list[str]:
-    """Names of files in the folder `path` that a run writes anew: tables, pictures, state."""
+    """Names of files in the folder `path` that a run writes again: tables, pictures, state."""
     return [name for name in _RESULTS if (path / name).exists()]
 
 
 def is_under_way(path: Path) -> bool | None:
     """Whether a process works on the run in the folder `path`; None where no lock tells."""
     return files.is_locked(path / _LOCK)
+
+
+def curve_table(record: Record) -> str:
+    """`curve.csv`: one line for each evaluation."""
+    losses, seconds = np.array(record.losses), np.array(record.seconds)
+    rows = zip(losses.tolist(), best_so_far(losses).tolist(), seconds.tolist(), strict=True)
+    lines = ["evaluation,loss,best_loss,seconds"]
+    lines += [f"{i},{loss!r},{b!r},{s:.4f}" for i, (loss, b, s) in enumerate(rows)]
+    return "\n".join(lines) + "\n"
+
+
+def improvements_table(record: Record) -> str:
+    """`improvements.csv`; what a metric that raised has not measured is empty."""
+    in_round = rounds(record.generations)
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")  # names of losses may need quoting
+    names = ["evaluation", "seconds", f"round_of_{WORKERS}", "loss", *record.metrics]
+    writer.writerow(names)
+    for k, i in enumerate(record.improvements):
+        others = (repr(v[k]) if k < len(v) else "" for v in record.metrics.values())
+        where = [i, f"{record.seconds[i]:.4f}", in_round[i]]
+        writer.writerow([*where, repr(record.losses[i]), *others])
+    return buffer.getvalue()

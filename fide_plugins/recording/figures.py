@@ -15,23 +15,6 @@ from fide_plugins.runtime.messages import counted
 from fide_plugins.runtime.plotting import new_figure
 from fide_plugins.types import Float32, Float64
 
-__all__ = [
-    "ACCENT",
-    "GAIN",
-    "INK",
-    "MUTED",
-    "Panel",
-    "arrangement",
-    "as_png",
-    "difference",
-    "draw_curve",
-    "draw_image",
-    "noisy",
-    "plain",
-    "summary",
-    "thumbnail",
-]
-
 THUMBNAIL = 160
 """Longer side of a thumbnail, pixels."""
 
@@ -48,6 +31,13 @@ def as_png(image: Float32) -> bytes:
 
     buffer = io.BytesIO()
     Image.fromarray(np.rint(image * 255.0).astype(np.uint8)).save(buffer, format="PNG")
+    return buffer.getvalue()
+
+
+def figure_as_png(figure: Any) -> bytes:
+    """PNG of a figure of matplotlib."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", metadata={"Software": None})
     return buffer.getvalue()
 
 
@@ -118,22 +108,13 @@ def summary(result: RunResult, target: Float32, counts: Float32 | None = None) -
         draw_image(figure.add_subplot(images[divmod(k, columns)]), panel)
     draw_curve(curve, result.losses, result.loss)
     _time_bar(times, result)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": None})
-    return buffer.getvalue()
-
-
-def noisy(result: RunResult) -> bool:
-    """Whether the reference image of the best candidate differs from its render."""
-    if result.image is None or result.reference is None:
-        return False
-    return not np.array_equal(result.image, result.reference)
+    return figure_as_png(figure)
 
 
 def _panels(result: RunResult, target: Float32, counts: Float32 | None) -> list[Panel]:
     blank = np.zeros_like(target)
     start, best = result.first_image, result.image
-    of_image = not noisy(result) and math.isfinite(result.mse)  # then views count alike
+    of_image = not result.noisy and math.isfinite(result.mse)  # then views count alike
     found = f"MSE {result.mse:.3g}" if of_image else _mse(best, target, counts)
     panels = [
         Panel("target", target),
@@ -142,7 +123,7 @@ def _panels(result: RunResult, target: Float32, counts: Float32 | None) -> list[
     ]
     if best is not None:
         panels.append(Panel(f"{GAIN}x difference", difference(target, best, counts)))
-    if noisy(result) and result.reference is not None:
+    if result.noisy and result.reference is not None:
         panels.append(Panel("reference", result.reference, f"MSE {result.mse:.3g}"))
     return panels
 
@@ -207,7 +188,6 @@ def _least_shown(losses: Float64) -> float:
 
 
 def _time_bar(axes: Any, result: RunResult) -> None:
-    """One bar, the wall time, with the fraction of each part."""
     axes.axis("off")
     axes.set_xlim(0, 1)
     axes.set_ylim(0, 1)

@@ -149,7 +149,7 @@ def solutions_as_data(solutions: Sequence[Solution]) -> list[dict[str, Any]]:
 
 
 def read_solutions(data: Any, dim: int, space: Space | None) -> list[Solution]:
-    """Solutions of `dim` parameters that `solutions_as_data` gave; ValueError or TypeError for other data."""
+    """Solutions of `dim` parameters that `solutions_as_data` gave."""
     if not isinstance(data, list) or not all(isinstance(one, dict) for one in data):
         raise TypeError("its solutions are no list of objects")
     return [_solution(one, dim, space) for one in data]
@@ -175,7 +175,6 @@ def _solution(data: dict[str, Any], dim: int, space: Space | None) -> Solution:
 
 
 def _numbers(name: str, values: Any, dim: int) -> Float64:
-    """Numbers (dim,); None stands for NaN."""
     array = np.array([math.nan if value is None else float(value) for value in values])
     if array.shape != (dim,):
         raise ValueError(f"{name} of a solution has {len(array)} numbers, and there are {dim}")

@@ -5,7 +5,6 @@ No window opens, and no global state of matplotlib changes.
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -20,6 +19,7 @@ from fide_plugins.recording.figures import (
     arrangement,
     draw_curve,
     draw_image,
+    figure_as_png,
     plain,
 )
 from fide_plugins.recording.parameters import rows
@@ -105,9 +105,7 @@ class Figure(MatplotlibFigure):
         FigureCanvasAgg(self)
 
     def _repr_png_(self) -> bytes:
-        buffer = io.BytesIO()
-        self.savefig(buffer, format="png", metadata={"Software": None})
-        return buffer.getvalue()
+        return figure_as_png(self)
 
 
 def result_figure(
@@ -212,7 +210,6 @@ def pairs_figure(X: Float64, space: Space | None, best: Float64 | None, numbered
 
 
 def _label(axes: Any, across: Drawn, up: Drawn | None, whole: bool) -> None:
-    """Name the axes' values; whole: show all that a parameter may have."""
     across.mark(axes, "x")
     axes.xaxis.set_minor_formatter(NullFormatter())
     if whole:
@@ -237,7 +234,6 @@ def _histogram(axes: Any, one: Drawn, n: int, marked: bool) -> None:
 
 
 def _scatter(axes: Any, across: Drawn, up: Drawn, n: int, numbered: bool) -> None:
-    """Draw n points, and the best one if there is one more."""
     x, y = across.values, up.values
     if numbered:
         axes.scatter(x, y, s=0)

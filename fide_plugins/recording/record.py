@@ -168,6 +168,13 @@ class RunResult:
         return self.times["render"]
 
     @property
+    def noisy(self) -> bool:
+        """Whether the reference image of the best candidate differs from its render."""
+        if self.image is None or self.reference is None:
+            return False
+        return not np.array_equal(self.image, self.reference)
+
+    @property
     def overhead_s(self) -> float:
         """Seconds spent on anything but rendering."""
         return self.wall_s - self.times["render"]
@@ -247,21 +254,30 @@ class Record:
 
         Returns the indices of the candidates that improved the best loss.
         """
-        if self.first_image is None:
-            self.first_image = images[0].copy()
-        ranked = np.where(np.isfinite(losses), losses, np.inf)
-        before = np.minimum.accumulate(np.concatenate([[self.best_loss], ranked[:-1]]))
-        improved: list[int] = np.flatnonzero(ranked < before).tolist()
-        if improved:
-            winner = improved[-1]
-            self.best_loss = float(ranked[winner])
-            self.best_evaluation = self.evaluations + winner
-            self.x_best, self.image = X[winner].copy(), images[winner].copy()
-        self.improvements.extend(self.evaluations + i for i in improved)
-        self.path.extend(X[i].copy() for i in improved)
-        self.losses.extend(losses.tolist())
-        self.seconds.extend([self.wall_s] * len(losses))
+        told = zip(X, images, losses.tolist(), strict=True)
+        return [i for i, one in enumerate(told) if self.add_one(*one)]
+
+    def add_one(self, x: Float64, image: Float32 | None, loss: float) -> bool:
+        """Add a candidate (dim,) with its image (H, W, 3); returns whether it is the best so far.
+
+        image: None where it is neither the first one nor the best.
+        """
+        if self.first_image is None and image is not None:
+            self.first_image = image.copy()
+        improved = loss < self.best_loss and math.isfinite(loss)
+        if improved and image is not None:
+            self.best_loss, self.best_evaluation = loss, self.evaluations
+            self.x_best, self.image = x.copy(), image.copy()
+            self.improvements.append(self.evaluations)
+            self.path.append(self.x_best.copy())
+        self.losses.append(loss)
+        self.seconds.append(self.wall_s)
         return improved
+
+    def judge_best(self, best: Solution) -> None:
+        """Replace the best candidate, after images began to be compared in another way."""
+        self.best_loss, self.best_evaluation = best.loss, best.evaluation
+        self.x_best, self.image = best.x.copy(), best.image
 
     def add_unjudged(self, renders: int) -> None:
         """Add renders that were learned from and not compared with the target: a loss of infinity.

@@ -31,7 +31,7 @@ class Interrupted(KeyboardInterrupt):
 class Interrupts:
     """Turns SIGINT and SIGTERM into `Interrupted` where the state is consistent.
 
-    once: whether it is raised once, and signals that follow are only noted, see `hold`.
+    once: whether it is raised once, and signals that follow are only noted, see `block`.
 
     Only Python's main thread receives signals; in other threads this does nothing.
     """
@@ -39,7 +39,7 @@ class Interrupts:
     def __init__(self, *, once: bool = False) -> None:
         self._signum: int | None = None
         self._at_once = False
-        self._once, self._held = once, False
+        self._once, self._blocked = once, False
 
     def __enter__(self) -> Interrupts:
         self._before: dict[int, Any] = {}
@@ -57,18 +57,18 @@ class Interrupts:
         if self._signum is not None:
             self._raise(self._signum)
 
-    def hold(self) -> None:
+    def block(self) -> None:
         """From now on only note signals: what was computed is about to be written."""
-        self._held = True
+        self._blocked = True
 
     @contextmanager
-    def let_go(self) -> Iterator[None]:
+    def unblocked(self) -> Iterator[None]:
         """Within this block, where nothing is written, a second signal raises `Interrupted`."""
-        before, self._held = self._held, False
+        before, self._blocked = self._blocked, False
         try:
             yield
         finally:
-            self._held = before
+            self._blocked = before
 
     @contextmanager
     def stoppable(self) -> Iterator[None]:
@@ -82,9 +82,9 @@ class Interrupts:
 
     def _receive(self, signum: int, frame: FrameType | None) -> None:
         again, self._signum = self._signum is not None, signum
-        if not self._held and (self._at_once or again):
+        if not self._blocked and (self._at_once or again):
             self._raise(signum)
 
     def _raise(self, signum: int) -> NoReturn:
-        self._held = self._once
+        self._blocked = self._once
         raise Interrupted(signum)

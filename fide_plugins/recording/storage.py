@@ -44,25 +44,13 @@ class RunDirectoryError(FideError, FileExistsError):
 
 
 def read_run(path: Path) -> dict[str, Any] | None:
-    """Contents of `run.json` in the folder `path`; None if there is none.
-
-    Raises RunDirectoryError (a FileExistsError) if it is damaged or of another version.
-    """
-    run = read_json(path / "run.json", "run", _check_contents)
-    return None if run is None else _of_this_version(run)
-
-
-def _of_this_version(run: dict[str, Any]) -> dict[str, Any]:
-    """The record with names of today: once "status" was what is "state" now."""
-    if "state" not in run and "status" in run:
-        run["state"] = run.pop("status")
-        totals = run.get("totals")
-        if isinstance(totals, dict) and "status" in totals:
-            totals["sentence"] = totals.pop("status")
-    return run
+    """Contents of `run.json` in the folder `path`; None if there is none."""
+    return read_json(path / "run.json", "run", _check_contents)
 
 
 def _check_contents(run: dict[str, Any]) -> None:
+    if not isinstance(run["state"], str):
+        raise ValueError("its state is no text")
     if not isinstance(run["settings"], dict) or not isinstance(run.get("resumed", []), list):
         raise ValueError("its settings are no dict, or its times of resuming no list")
 
@@ -73,8 +61,6 @@ def read_json(
     """Record of a run or of a comparison (`kind`) in the file `path`; None if there is none.
 
     check: raises ValueError, KeyError or TypeError for contents that cannot be.
-
-    Raises RunDirectoryError (a FileExistsError) if it is damaged or of another version.
     """
     if not path.exists():
         return None
@@ -137,11 +123,7 @@ class RunCheckpoint(NamedTuple):
 
 
 def read_checkpoint(path: Path) -> RunCheckpoint:
-    """State of the run in the folder `path`, see `is_saved`.
-
-    Raises OSError, or CheckpointError (a ValueError) if the file is damaged or names a file that is
-    no optimizer's of the folder.
-    """
+    """State of the run in the folder `path`, see `is_saved`."""
     state = checkpoint.read(path / CHECKPOINT, _RUN)
     with _possible(path):
         name = state["optimizer"]
@@ -154,12 +136,9 @@ def read_record(path: Path, dim: int, size: list[int]) -> tuple[Record, Path]:
     """Record of the run in the folder `path`, of `dim` parameters, and its optimizer's file.
 
     size: height and width of its images.
-
-    Raises what `read_checkpoint` raises, CheckpointError also for a record that cannot be.
     """
     state, name = read_checkpoint(path)
     with _possible(path):
-        state.setdefault("path", np.empty((0, dim)))  # of an earlier version
         check_record(state, dim, size)
         return Record.from_state(state), path / name
 
@@ -168,8 +147,6 @@ def with_optimizer(path: Path, use: Callable[[Path], _T]) -> _T:
     """What a function makes of the optimizer's file of the run in the folder `path`.
 
     The run may go on meanwhile, and replace its checkpoint: then it is called with the newer file.
-
-    Raises what `read_checkpoint` and the function raise.
     """
     name = read_checkpoint(path).optimizer
     while True:
@@ -232,10 +209,7 @@ class KeptTarget(NamedTuple):
 
 
 def read_target(path: Path) -> KeptTarget | None:
-    """The target in a file; None if the file is not there, or in a folder that may not be read_target.
-
-    Raises OSError, or CheckpointError (a ValueError) if the file is damaged.
-    """
+    """The target in a file; None if the file is not there, or in a folder that may not be read."""
     if not os.path.exists(path):
         return None
     state = checkpoint.read(path, _TARGET)

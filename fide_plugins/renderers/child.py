@@ -1,4 +1,4 @@
-"""A program that is run to its end, with a time limit, captured output, and a folder for its files."""
+"""A program that is run to its end, with a time limit, its output, a folder for its files."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from typing import IO, Any
 
 _SHOWN = 20  # last lines of the output that an error shows
 _MOST = 4000  # characters of them
-_LONGEST = 2**24  # bytes of output, beyond which the file of it begins anew
+_LONGEST = 2**24  # bytes of output, beyond which its file begins again
 _LOOK = 0.1  # seconds between two looks at its length
 _RUNNING: set[subprocess.Popen[bytes]] = set()  # in groups of their own
 _ENDING = threading.Event()  # this process
@@ -45,14 +45,13 @@ def run(command: Sequence[str], log: Path, timeout: float | None) -> Ended:
     seconds, when this process is interrupted, or when it ends while a thread waits.  To know what
     that is, the program gets a process group of its own; but in a worker process that leads one, it
     stays in that, so that who kills the worker's group kills the program, too.
-
-    Raises OSError if it cannot be started.
     """
     log.unlink(missing_ok=True)
     with log.open("a+b", buffering=0) as output:  # "a": after `_shorten`, too, it goes to the end
         child = None
         try:
-            with _held(signal.SIGINT, signal.SIGTERM):  # until it is known what is to be stopped
+            # until it is known what is to be stopped
+            with _deferred(signal.SIGINT, signal.SIGTERM):
                 child = _start(command, output)
                 if not _is_leader():
                     _RUNNING.add(child)
@@ -82,7 +81,6 @@ if hasattr(os, "register_at_fork"):
 
 
 def _wait(child: subprocess.Popen[bytes], timeout: float | None) -> int | None:
-    """Exit code; None after `timeout` seconds."""
     ended = None if timeout is None else _ends_within(child, timeout)
     if ended is False:
         return None
@@ -134,7 +132,6 @@ def _kept_short(output: IO[bytes]) -> Iterator[None]:
 
 
 def _shorten(output: IO[bytes]) -> None:
-    """Keep only the end of a file that has grown too long."""
     length = os.fstat(output.fileno()).st_size
     if length > _LONGEST:
         output.seek(length - _MOST)
@@ -144,7 +141,7 @@ def _shorten(output: IO[bytes]) -> None:
 
 
 @contextmanager
-def _held(*signals: signal.Signals) -> Iterator[None]:
+def _deferred(*signals: signal.Signals) -> Iterator[None]:
     """Call the handlers of signals that arrive meanwhile at the end; only in the main thread.
 
     Signals without a handler in Python, such as ignored ones, are left alone: a program that is
@@ -199,7 +196,6 @@ def _stop(child: subprocess.Popen[bytes]) -> None:
 
 
 def _kill(child: subprocess.Popen[bytes]) -> None:
-    """Kill a program, and its group, which is its own."""
     if os.name == "posix":
         os.killpg(child.pid, signal.SIGKILL)
     else:

@@ -153,8 +153,6 @@ class CommandRenderer:
 
 
 class _Failed(Exception):
-    """What a program did wrong, and the last lines of its output."""
-
     def __init__(self, what: str, tail: str = "") -> None:
         super().__init__(what)
         self.what, self.tail = what, tail
@@ -268,7 +266,6 @@ def _words(text: str) -> list[str]:
 
 
 def _fields(word: str, text: str) -> list[tuple[str, str, str | None]]:
-    """Flat name, format and conversion of each placeholder in a word."""
     try:
         parsed = list(string.Formatter().parse(word))
     except ValueError as error:
@@ -337,7 +334,6 @@ def _check_words(words: list[str]) -> None:
 
 
 def _no_program(program: str) -> str:
-    """Why a program cannot be run, and what to do."""
     if program.startswith("~"):
         return f"no shell reads the command, so ~ is no folder in {program!r}; write the whole path"
     if os.sep in program and os.path.isfile(program):

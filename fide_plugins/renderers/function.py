@@ -40,14 +40,14 @@ class OwnFolder:
             self._check_is_here()
             yield
             return
-        before = _here()
+        before = _current_folder()
         if self._left is not None:
             with suppress(OSError):  # it was removed meanwhile
                 os.chdir(self._left)
         try:
             yield
         finally:
-            now = _here()
+            now = _current_folder()
             self._left = None if now == before else now
             if before is not None and now != before:
                 os.chdir(before)
@@ -56,13 +56,12 @@ class OwnFolder:
         if self._left is not None:
             raise OptionError(
                 "the renderer's code has called os.chdir, and all threads of a process have one "
-                f"current folder, not both {_here()} and {self._left}: render in processes, or "
-                "let the code find its files without os.chdir (Path(__file__).parent)"
+                f"current folder, not both {_current_folder()} and {self._left}: render in "
+                "processes, or let the code find its files without os.chdir (Path(__file__).parent)"
             )
 
 
-def _here() -> str | None:
-    """The current folder; None if it was removed."""
+def _current_folder() -> str | None:
     try:
         return os.getcwd()
     except OSError:

@@ -46,7 +46,7 @@ def resolve_device(
     return resolved
 
 
-def as_here(device: torch.device) -> Callable[[], AbstractContextManager[None]]:
+def on_current_stream(device: torch.device) -> Callable[[], AbstractContextManager[None]]:
     """Context in which another thread computes on the current CUDA stream of this thread.
 
     Its work starts after the work that this thread has queued; at the end the context waits for
@@ -57,14 +57,14 @@ def as_here(device: torch.device) -> Callable[[], AbstractContextManager[None]]:
     stream = torch.cuda.current_stream(device)
 
     @contextmanager
-    def there() -> Iterator[None]:
+    def same_stream() -> Iterator[None]:
         with torch.cuda.device(device), torch.cuda.stream(stream):
             try:
                 yield
             finally:
                 stream.synchronize()
 
-    return there
+    return same_stream
 
 
 @contextmanager

@@ -24,21 +24,6 @@ try:
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
-__all__ = [
-    "MOST_BYTES",
-    "RefusedFileError",
-    "atomic_writer",
-    "check_regular",
-    "check_writable",
-    "is_locked",
-    "locked",
-    "open_regular",
-    "read_regular",
-    "remove_leftovers",
-    "write_bytes",
-    "write_text",
-]
-
 MOST_BYTES = 2**28
 """Most bytes of a file that is read whole: a sparse one of a terabyte costs nobody anything."""
 _SUFFIX = ".tmp"
@@ -77,16 +62,14 @@ def atomic_writer(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
     except BaseException as error:
         with suppress(OSError):
             temporary.unlink()
-        if isinstance(error, OSError) and error.errno is not None:
-            raise type(error)(error.errno, f"cannot write {final}: {_why(error)}") from error
-        raise
-
-
-def _why(error: OSError) -> str:
-    """Reason of the error, and its remedy."""
-    full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-    remedy = "make room, or name another folder" if full else "name a folder that can be written"
-    return f"{error.strerror}; {remedy}"
+        if not isinstance(error, OSError) or error.errno is None:
+            raise
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+        remedy = (
+            "make room, or name another folder" if full else "name a folder that can be written"
+        )
+        message = f"cannot write {final}: {error.strerror}; {remedy}"
+        raise type(error)(error.errno, message) from error
 
 
 def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
@@ -204,12 +187,15 @@ def locked(
     if fcntl is None:
         yield True
         return
-    held = _lock(path, wait)
+    file = _lock(path, wait)
     try:
-        yield held is not None
+        yield file is not None
     finally:
-        if held is not None:
-            held.release(path if remove else None)
+        if file is not None:
+            if remove and file.is_at(path):
+                with suppress(OSError):
+                    os.unlink(path)
+            file.close()
 
 
 def is_locked(path: str | os.PathLike[str]) -> bool | None:
@@ -232,12 +218,12 @@ def is_locked(path: str | os.PathLike[str]) -> bool | None:
         os.close(descriptor)
 
 
-class _Held:
-    """An open file with its lock."""
+class _LockFile:
+    """An open file with its lock; closed in a forked process, whose parent has the lock."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.descriptor: int | None = _open_to_lock(path)
-        _ALL.add(self)
+        _LOCK_FILES.add(self)
 
     def is_at(self, path: str | os.PathLike[str]) -> bool:
         """Whether it is the file at `path`, and not one that was removed meanwhile."""
@@ -248,15 +234,6 @@ class _Held:
         except FileNotFoundError:
             return False
 
-    def release(self, path: str | os.PathLike[str] | None = None) -> None:
-        """Close it; path: where it is to be removed before.  In a forked process: nothing."""
-        if self.descriptor is None:
-            return
-        if path is not None and self.is_at(path):
-            with suppress(OSError):
-                os.unlink(path)
-        self.close()
-
     def close(self) -> None:
         """Close it, which frees the lock unless another process has the same open file."""
         if self.descriptor is not None:
@@ -264,43 +241,42 @@ class _Held:
             self.descriptor = None
 
 
-_ALL: WeakSet[_Held] = WeakSet()
+_LOCK_FILES: WeakSet[_LockFile] = WeakSet()
 
 
-def _forget_all() -> None:
-    """In a forked process: the lock is its parent's, and ends with that one."""
-    for held in list(_ALL):
-        held.close()
+def _close_all() -> None:
+    for file in list(_LOCK_FILES):
+        file.close()
 
 
 if hasattr(os, "register_at_fork"):  # not on Windows, which has no fork
-    os.register_at_fork(after_in_child=_forget_all)
+    os.register_at_fork(after_in_child=_close_all)
 
 
-def _lock(path: str | os.PathLike[str], wait: bool) -> _Held | None:
+def _lock(path: str | os.PathLike[str], wait: bool) -> _LockFile | None:
     """The locked file; None where another process holds the lock."""
     assert fcntl is not None
-    again = True
+    retry = True
     while True:
-        held = _Held(path)
-        assert held.descriptor is not None
+        file = _LockFile(path)
+        assert file.descriptor is not None
         try:
-            fcntl.flock(held.descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            fcntl.flock(file.descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
         except BaseException as error:
             number = error.errno if isinstance(error, OSError) else None
             if number in _NO_LOCKS:
-                return held
-            held.close()
+                return file
+            file.close()
             if number not in _OF_ANOTHER:
                 raise
-            if not again:
+            if not retry:
                 return None
-            again = False
+            retry = False
             time.sleep(_MOMENT)
             continue
-        if held.is_at(path):
-            return held
-        held.close()  # who held the lock before has removed the file
+        if file.is_at(path):
+            return file
+        file.close()  # who held the lock before has removed the file
 
 
 def _open_to_lock(path: str | os.PathLike[str]) -> int:

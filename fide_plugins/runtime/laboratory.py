@@ -11,8 +11,6 @@ from typing import Any
 
 from fide_plugins.errors import DependencyError
 
-__all__ = ["is_installed", "keep_old_name", "module"]
-
 _ROOT = "fide_lab"
 
 

@@ -11,8 +11,6 @@ from __future__ import annotations
 from fide_plugins.errors import DependencyError
 from fide_plugins.runtime.machine import opencv_remedy
 
-__all__ = ["cv2"]
-
 try:
     import cv2 as cv2
 except ImportError as error:  # also a library of the system that is missing, such as libGL

@@ -21,30 +21,6 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-__all__ = [
-    "GENERATOR",
-    "IMPOSSIBLE",
-    "Rule",
-    "Schema",
-    "Sides",
-    "anything",
-    "array",
-    "check",
-    "each",
-    "flag",
-    "form",
-    "maybe",
-    "numbers",
-    "real",
-    "row",
-    "saved",
-    "side",
-    "table",
-    "text",
-    "values",
-    "whole",
-]
-
 Sides: TypeAlias = dict[str, int]
 Rule: TypeAlias = Callable[[Any, str, Sides], None]
 Schema: TypeAlias = "Rule | dict[str, Schema]"

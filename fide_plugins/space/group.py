@@ -3,19 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 from fide_plugins.errors import SpaceError
 from fide_plugins.space.kinds import Choice, Float, Int, Kind
 from fide_plugins.validation.points import as_whole
 
-__all__ = ["Group", "Leaf", "Member", "Repeated", "check_members", "leaves"]
+__all__ = ["Constant", "Group", "Leaf", "Member", "Repeated", "check_members", "leaves"]
 
-_MOST = 100_000  # copies of a group
-_RESERVED = ("repeat", "type")  # keys of the file form
+_MOST_COPIES = 100_000  # of a group
+_IN_FILES = ("repeat", "type")  # keys of the file form
 
 
-class Group:
+class Constant:
+    """What cannot be changed, and is equal where its kind and its `_key` are."""
+
+    _noun: ClassVar[str]
+    _key: Any
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, type(self)) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise AttributeError(
+            f"a {self._noun} cannot be changed; make another one with a new {name}"
+        )
+
+
+class Group(Constant):
     """Parameters that belong to one thing: ``Group(x=Float(0, 1), y=Float(0, 1))``.
 
     ``6 * Group(...)`` are six things of one kind, which may change places: a list of six
@@ -27,18 +45,18 @@ class Group:
     Raises SpaceError (a ValueError).
     """
 
+    _noun = "Group"
+    members: dict[str, Member]
+
     def __init__(self, members: Mapping[str, Member] | None = None, /, **named: Member) -> None:
         checked = check_members("Group", members, named)
-        for name in _RESERVED:
+        for name in _IN_FILES:
             if name in checked:
                 raise SpaceError(
                     f"no member of a Group may be called {name!r}, which has a meaning in files; "
                     f"call it {name}_"
                 )
-        self.__dict__["members"] = checked
-
-    members: dict[str, Member]
-    """Not to be changed."""
+        self.__dict__.update(members=checked, _key=tuple(checked.items()))
 
     def __mul__(self, times: int) -> Repeated:
         return Repeated(self, times)
@@ -48,35 +66,27 @@ class Group:
     def __repr__(self) -> str:
         return f"Group({', '.join(f'{n}={m!r}' for n, m in self.members.items())})"
 
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Group) and _ordered(self) == _ordered(other)
 
-    def __hash__(self) -> int:
-        return hash(_ordered(self))
-
-    def __setattr__(self, name: str, value: object) -> None:
-        raise AttributeError(f"a Group cannot be changed; make another one with a new {name}")
-
-
-class Repeated:
+class Repeated(Constant):
     """Several things of one kind, ``times * group``."""
+
+    _noun = "repeated Group"
+    group: Group
+    times: int
 
     def __init__(self, group: Group, times: int) -> None:
         number = as_whole(times) or 0
-        if not 1 <= number <= _MOST:
+        if not 1 <= number <= _MOST_COPIES:
             raise SpaceError(
-                f"a Group may be repeated 1 to {_MOST} times, not {times!r}; write 6 * Group(...), "
-                "in a file repeat = 6"
+                f"a Group may be repeated 1 to {_MOST_COPIES} times, not {times!r}; write "
+                "6 * Group(...), in a file repeat = 6"
             )
-        if any(isinstance(member, Repeated) for member in _below(group)):
+        if any(leaf.block for leaf in leaves(group.members)):
             raise SpaceError(
                 "a repeated Group cannot hold another repeated Group; write the inner ones under "
                 "names of their own"
             )
-        self.__dict__.update(group=group, times=number)
-
-    group: Group
-    times: int
+        self.__dict__.update(group=group, times=number, _key=(number, group))
 
     def __rmul__(self, times: object) -> Repeated:
         raise SpaceError(
@@ -89,18 +99,6 @@ class Repeated:
     def __repr__(self) -> str:
         return f"{self.times} * {self.group!r}"
 
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Repeated) and (self.times, self.group) == (
-            other.times,
-            other.group,
-        )
-
-    def __hash__(self) -> int:
-        return hash((self.times, self.group))
-
-    def __setattr__(self, name: str, value: object) -> None:
-        raise AttributeError(f"a repeated Group cannot be changed; make another one (new {name})")
-
 
 Member: TypeAlias = Kind | Group | Repeated
 
@@ -109,12 +107,10 @@ class Leaf(NamedTuple):
     """One parameter of a space.
 
     name: flat, such as "beads[2].x".
-    path: its keys in the nested dictionaries and lists.
     block: (name of the repeated group, number of the copy), or None.
     """
 
     name: str
-    path: tuple[str | int, ...]
     kind: Kind
     block: tuple[str, int] | None
 
@@ -139,33 +135,19 @@ def check_members(owner: str, members: object, named: Mapping[str, object]) -> d
     return given
 
 
-def leaves(members: Mapping[str, Member]) -> Iterator[Leaf]:
-    """All parameters below, in order."""
-    return _leaves(members, "", (), None)
-
-
-def _leaves(
-    members: Mapping[str, Member],
-    prefix: str,
-    path: tuple[str | int, ...],
-    block: tuple[str, int] | None,
+def leaves(
+    members: Mapping[str, Member], prefix: str = "", block: tuple[str, int] | None = None
 ) -> Iterator[Leaf]:
+    """All parameters below, in order."""
     for key, member in members.items():
-        name, here = prefix + key, (*path, key)
+        name = prefix + key
         if isinstance(member, Group):
-            yield from _leaves(member.members, f"{name}.", here, block)
+            yield from leaves(member.members, f"{name}.", block)
         elif isinstance(member, Repeated):
             for i in range(member.times):
-                yield from _leaves(member.group.members, f"{name}[{i}].", (*here, i), (name, i))
+                yield from leaves(member.group.members, f"{name}[{i}].", (name, i))
         else:
-            yield Leaf(name, here, member, block)
-
-
-def _below(group: Group) -> Iterator[Member]:
-    for member in group.members.values():
-        yield member
-        if isinstance(member, Group):
-            yield from _below(member)
+            yield Leaf(name, member, block)
 
 
 def _check_name(name: object) -> None:
@@ -190,7 +172,3 @@ def _remedy(member: object) -> str:
     if isinstance(member, Mapping):
         return "; write Group(...), or Space.from_dict for plain data"
     return ""
-
-
-def _ordered(group: Group) -> tuple[Any, ...]:
-    return tuple(group.members.items())

@@ -21,15 +21,18 @@ the second.
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable, Iterable
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, NamedTuple, TypeAlias
+from functools import wraps
+from inspect import Parameter, signature
+from typing import Any, ClassVar, NamedTuple, TypeAlias, TypeVar
 
-from fide_plugins.errors import SpaceError
-from fide_plugins.space.arguments import explained
+from fide_plugins.errors import SpaceError, did_you_mean
 from fide_plugins.validation.points import as_real, as_whole, whole_instead
 
-__all__ = ["Choice", "Float", "Int", "Kind", "Scale"]
+__all__ = ["Choice", "Float", "Int", "Kind", "Scale", "is_synonym", "right_word"]
+
+T = TypeVar("T")
 
 _MOST_CELLS = 2**40  # of an axis; beyond, doubles do not tell the cells of a logarithmic axis apart
 _LARGEST_INT = 2**53  # doubles hold every whole number up to it
@@ -37,6 +40,83 @@ _LARGEST_LOG = 2**44  # beyond, doubles do not tell the logarithms of neighbors 
 _MOST_CHOICES = 1000
 _OFF_GRID = 1e-6  # of a step, by which a value may miss the grid
 _LEAST_STEP = 16  # units in the last place of the largest value
+_SYNONYMS = {
+    "low": ("min", "minimum", "lower", "lower_bound", "lo", "start", "from"),
+    "high": ("max", "maximum", "upper", "upper_bound", "hi", "stop", "end", "to"),
+    "unit": ("units",),
+    "log": ("logarithmic", "log_scale", "logscale", "logspace"),
+    "periodic": ("wrap", "wraps", "wrapped", "cyclic", "circular", "angle"),
+    "step": ("steps", "stride", "increment", "spacing", "q"),
+    "values": ("value", "choices", "options", "categories", "items"),
+}
+_OF = {synonym: word for word, synonyms in _SYNONYMS.items() for synonym in synonyms}
+
+
+# -- arguments -------------------------------------------------------------------------------------
+
+
+def is_synonym(name: str) -> bool:
+    """Whether other libraries and users have this word for something that a parameter has."""
+    return name.lower() in _OF
+
+
+def right_word(name: object, known: Iterable[str]) -> str:
+    """End of a message about a name that is not known: the word that is meant, if that is clear.
+
+    >>> right_word("units", ["low", "unit"]), right_word("hihg", ["high"]), right_word("x", ["low"])
+    ("; did you mean 'unit'?", "; did you mean 'high'?", '')
+    """
+    words = list(known)
+    word = _OF.get(str(name).lower())
+    return f"; did you mean {word!r}?" if word in words else did_you_mean(name, words)
+
+
+def _explained(usage: str) -> Callable[[type[T]], type[T]]:
+    """Decorator of a class whose constructor says which argument is wrong, and what is right."""
+
+    def decorate(cls: type[T]) -> type[T]:
+        init: Any = vars(cls)["__init__"]
+        of_class = signature(init)
+
+        @wraps(init)
+        def checked(self: T, *args: Any, **kwargs: Any) -> None:
+            try:
+                of_class.bind(self, *args, **kwargs)
+            except TypeError:
+                _explain(cls.__name__, list(of_class.parameters.values())[1:], args, kwargs, usage)
+                raise
+            init(self, *args, **kwargs)
+
+        setattr(cls, "__init__", checked)  # noqa: B010  # of a class that may be anything
+        return cls
+
+    return decorate
+
+
+def _explain(
+    kind: str, parameters: list[Parameter], args: Any, kwargs: dict[str, Any], usage: str
+) -> None:
+    """Raise SpaceError for arguments that do not fit the parameters."""
+    names = [p.name for p in parameters if p.kind is not Parameter.VAR_POSITIONAL]
+    positional = [p.name for p in parameters if p.kind is Parameter.POSITIONAL_OR_KEYWORD]
+    for name in kwargs:
+        if name not in names:
+            takes = f"it takes {', '.join(names)}" if names else f"write {usage}"
+            raise SpaceError(f"{kind} has no argument {name!r}; {takes}{right_word(name, names)}")
+    if len(args) > len(positional):
+        raise SpaceError(
+            f"{kind} takes {' and '.join(positional)} by position and all else by name, not "
+            f"{len(args)} values; write {usage}"
+        )
+    for name in positional[: len(args)]:
+        if name in kwargs:
+            raise SpaceError(f"{kind} has {name} by position and by name; write {usage}")
+    for name in positional[len(args) :]:
+        if name not in kwargs:
+            raise SpaceError(f"{kind} needs {name}; write {usage}")
+
+
+# -- kinds -----------------------------------------------------------------------------------------
 
 
 class Scale(NamedTuple):
@@ -70,7 +150,7 @@ class _Number:
         return Scale(self.low, self.high, self.step or 0.0, self.log)
 
 
-@explained("Float(0, 1)")
+@_explained("Float(0, 1)")
 @dataclass(frozen=True, repr=False)
 class Float(_Number):
     """A real number in [low, high].
@@ -123,7 +203,7 @@ class Float(_Number):
         return number
 
 
-@explained("Int(1, 8)")
+@_explained("Int(1, 8)")
 @dataclass(frozen=True, repr=False)
 class Int(_Number):
     """A whole number in [low, high], both included.
@@ -174,7 +254,7 @@ class Int(_Number):
         return number
 
 
-@explained("Choice('a', 'b')")
+@_explained("Choice('a', 'b')")
 @dataclass(frozen=True, init=False, repr=False, eq=False)
 class Choice:
     """One of some values without an order: texts, numbers, anything hashable.
@@ -242,6 +322,9 @@ class Choice:
 
 
 Kind: TypeAlias = Float | Int | Choice
+
+
+# -- checks ----------------------------------------------------------------------------------------
 
 
 def _show(kind: Any, *positional: str) -> str:

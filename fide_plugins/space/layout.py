@@ -53,7 +53,9 @@ class Layout:
             np.array([scale[i] for scale in scales], np.float64) for i in range(3)
         )
         self._log = np.array([scale.log for scale in scales], bool)
+        self._any_log, self._any_step = bool(self._log.any()), bool(self._step.any())
         self._count_from_low()
+        self._any_far = bool(self._far.any())
         self._bottom = self._scaled(self._low - self._step / 2)
         self._length = self._scaled(self._high + self._step / 2) - self._bottom
         self.stepped = np.zeros(self.dim, bool)
@@ -82,6 +84,8 @@ class Layout:
 
     def numbers(self, X: Float64) -> Float64:
         """V (n, p) of points (n, d), also of points outside of the cube."""
+        if len(self._one) == self.count == self.dim and not self._any_far:
+            return self._rounded(X)
         V = np.zeros((len(X), self.count))
         values = self._rounded(X[:, self._axis])
         V[:, self._one] = np.add(values, self._origin, out=values, where=self._far)
@@ -91,6 +95,8 @@ class Layout:
 
     def points(self, V: Float64) -> Float64:
         """X (n, d) of numbers (n, p), in the middle of their cells."""
+        if len(self._one) == self.count == self.dim and not self._any_far:
+            return self._placed(V)
         X = np.empty((len(V), self.dim))
         X[:, self._axis] = self._placed(V[:, self._one] - self._origin)
         for i, block in zip(self._many, self.choices, strict=True):
@@ -123,6 +129,8 @@ class Layout:
 
     def _scaled(self, values: Float64) -> Float64:
         """T of numbers (..., m) of the axes."""
+        if not self._any_log:
+            return values
         scaled = values.copy()
         scaled[..., self._log] = np.log(values[..., self._log])
         return scaled
@@ -131,17 +139,21 @@ class Layout:
         """Numbers (..., m) of coordinates (..., m): the nearest that there are."""
         inside = np.clip(points, 0.0, 1.0)
         values: Float64 = self._bottom + inside * self._length
-        values[..., self._log] = np.exp(values[..., self._log])
-        stepped = self._step > 0
-        low, step = self._low[stepped], self._step[stepped]
-        values[..., stepped] = low + np.floor((values[..., stepped] - low) / step + 0.5) * step
+        if self._any_log:
+            values[..., self._log] = np.exp(values[..., self._log])
+        if self._any_step:
+            stepped = self._step > 0
+            low, step = self._low[stepped], self._step[stepped]
+            values[..., stepped] = low + np.floor((values[..., stepped] - low) / step + 0.5) * step
         values = np.where(inside == 0.0, self._low, np.where(inside == 1.0, self._high, values))
         return np.clip(values, self._low, self._high)  # logarithms are rounded
 
     def _placed(self, values: Float64) -> Float64:
         """Coordinates (..., m) of numbers (..., m)."""
-        half = self._step / 2
-        middle = self._scaled(values - half) / 2 + self._scaled(values + half) / 2
+        middle = self._scaled(values)
+        if self._any_step:
+            half = self._step / 2
+            middle = self._scaled(values - half) / 2 + self._scaled(values + half) / 2
         return np.clip((middle - self._bottom) / self._length, 0.0, 1.0)
 
 

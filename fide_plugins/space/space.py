@@ -9,9 +9,9 @@ from typing import Any, Self
 import numpy as np
 
 from fide_plugins.errors import SpaceError, did_you_mean
-from fide_plugins.space import dictionary, toml_file
-from fide_plugins.space.expressions import Expression
+from fide_plugins.space.constraints import Expression
 from fide_plugins.space.group import (
+    Constant,
     Group,
     Leaf,
     Member,
@@ -24,19 +24,19 @@ from fide_plugins.space.layout import Layout
 from fide_plugins.types import Float64, Mask
 from fide_plugins.validation.points import as_point, as_points
 
-__all__ = ["Space"]
+__all__ = ["Params", "Space"]
 
 Params = dict[str, Any]
 
 _CONSTRAINTS = "constraints"
-_RESERVED = (
+_NO_PARAMETER = (
     "no parameter may be called 'constraints', which are conditions on the parameters; call it "
     'otherwise, and write constraints={"wall": "inner < 0.6 * outer"}, in a file [constraints] and '
     'below it wall = "inner < 0.6 * outer"'
 )
 
 
-class Space:
+class Space(Constant):
     """Parameters by name, each a `Float`, `Int`, `Choice` or `Group` of such.
 
     >>> from fide_plugins import Choice, Float, Group, Int, Space
@@ -51,15 +51,23 @@ class Space:
 
     named: a `Float`, `Int`, `Choice`, `Group` or repeated `Group` for each name.
     members: the same as one dictionary, ``Space({"azimuth": Float(-60, 60)})``.
-    constraints: conditions by name, ``{"wall": "inner < 0.6 * outer"}`` (`space.expressions`);
+    constraints: conditions by name, ``{"wall": "inner < 0.6 * outer"}`` (`space.constraints`);
         nothing else is rendered.  So no parameter may be called "constraints".
 
     A space cannot be changed; spaces of the same parameters in the same order, with the same
     constraints, are equal.
 
+    layout: where each parameter lies in the cube.
+
     Raises SpaceError (a ValueError) if a name is no identifier, something is none of these kinds,
     a constraint is no condition on the parameters, or nothing is left to search.
     """
+
+    _noun = "Space"
+    layout: Layout
+    _members: dict[str, Member]
+    _expressions: tuple[Expression, ...]
+    _leaves: list[Leaf]
 
     def __init__(
         self,
@@ -71,7 +79,7 @@ class Space:
     ) -> None:
         expressions = _expressions(constraints)
         if isinstance(members, Mapping) and _CONSTRAINTS in members:
-            raise SpaceError(_RESERVED)
+            raise SpaceError(_NO_PARAMETER)
         checked = check_members("Space", members, named)
         found = list(leaves(checked))
         layout = Layout([leaf.kind for leaf in found])
@@ -80,17 +88,15 @@ class Space:
                 "Space needs a parameter that can vary, but each is a Choice of one value; add one"
             )
         self.__dict__.update(
-            _members=checked, _leaves=found, layout=layout, _expressions=expressions
+            _members=checked,
+            _leaves=found,
+            layout=layout,
+            _expressions=expressions,
+            _key=(*checked.items(), expressions),
         )
-        kinds = self._nested([leaf.kind for leaf in found])
+        kinds = _nested(checked, iter([leaf.kind for leaf in found]))
         for expression in expressions:
             expression.check(kinds)
-
-    _members: dict[str, Member]
-    _expressions: tuple[Expression, ...]
-    _leaves: list[Leaf]
-    layout: Layout
-    """Where each parameter lies in the cube."""
 
     @property
     def dim(self) -> int:
@@ -164,9 +170,8 @@ class Space:
     def _decoded(self, X: Float64) -> list[Params]:
         numbers = self.layout.numbers(X).tolist()
         kinds = [leaf.kind for leaf in self._leaves]
-        return [
-            self._nested([k.value(n) for k, n in zip(kinds, row, strict=True)]) for row in numbers
-        ]
+        rows = ([k.value(n) for k, n in zip(kinds, row, strict=True)] for row in numbers)
+        return [_nested(self._members, iter(row)) for row in rows]
 
     def encode(self, params: Mapping[str, Any]) -> Float64:
         """Point (dim,) of `params`, as of `decode`: decode(encode(p)) is p but for rounding.
@@ -181,7 +186,7 @@ class Space:
 
     def encode_many(self, many: Sequence[Mapping[str, Any]]) -> Float64:
         """Points (n, dim) of `many`, n dictionaries; see `encode`, for its errors as well."""
-        rows = [self._numbers(params) for params in many]
+        rows = [list(_numbers(self._members, params, "")) for params in many]
         return self.layout.points(np.array(rows, np.float64).reshape(len(rows), len(self._leaves)))
 
     def snap(self, X: object) -> Float64:
@@ -195,18 +200,6 @@ class Space:
         point: Float64 = snapped[0] if one else snapped
         return point
 
-    def _nested(self, values: Sequence[Any]) -> Params:
-        params: Params = {}
-        for leaf, value in zip(self._leaves, values, strict=True):
-            inner: Any = params
-            for key, following in zip(leaf.path[:-1], leaf.path[1:], strict=True):
-                inner = _step_into(inner, key, [] if isinstance(following, int) else {})
-            inner[leaf.path[-1]] = value
-        return params
-
-    def _numbers(self, params: object) -> list[float]:
-        return list(_numbers(self._members, params, ""))
-
     # -- as data -----------------------------------------------------------------------------------
 
     def to_dict(self) -> dict[str, Any]:
@@ -214,7 +207,9 @@ class Space:
 
         Raises SpaceError if a Choice has values that JSON does not have.
         """
-        data = dictionary.to_dict(self._members)
+        from fide_plugins.space import files
+
+        data = files.to_dict(self._members)
         return data | ({_CONSTRAINTS: self.constraints} if self._expressions else {})
 
     @classmethod
@@ -223,25 +218,33 @@ class Space:
 
         Raises SpaceError, naming table and key.
         """
+        from fide_plugins.space import files
+
         if not isinstance(data, Mapping) or _CONSTRAINTS not in data:
-            return cls(dictionary.from_dict(data))
+            return cls(files.from_dict(data))
         constraints = data[_CONSTRAINTS]
         _expressions(constraints)  # it may be meant as a parameter, perhaps the only one
         members = {key: value for key, value in data.items() if key != _CONSTRAINTS}
-        return cls(dictionary.from_dict(members), constraints=constraints)
+        return cls(files.from_dict(members), constraints=constraints)
 
     def to_toml(self) -> str:
         """Text of a TOML file that `read` reads."""
-        return toml_file.text(self.to_dict())
+        from fide_plugins.space import files
+
+        return files.to_toml(self.to_dict())
 
     @classmethod
     def from_toml(cls, text: str) -> Self:
         """Space of the text of a TOML file; raises as `read`."""
-        return cls.from_dict(toml_file.parse(text))
+        from fide_plugins.space import files
+
+        return cls.from_dict(files.parse_toml(text))
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write a TOML file at `path`; raises OSError if that cannot be done."""
-        toml_file.write(path, self.to_dict())
+        from fide_plugins.runtime.files import write_text
+
+        write_text(path, self.to_toml())
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Self:
@@ -249,35 +252,23 @@ class Space:
 
         Raises SpaceError, naming file, table and key, and OSError if the file cannot be read.
         """
+        from fide_plugins.space import files
+
         try:
-            return cls.from_dict(toml_file.read(path))
+            return cls.from_dict(files.read_toml(path))
         except SpaceError as error:
             raise SpaceError(f"{os.fspath(path)}: {error}") from None
 
     # -- as a value --------------------------------------------------------------------------------
 
     def __repr__(self) -> str:
-        words = [n + (f"[{m.times}]" if isinstance(m, Repeated) else "") for n, m in self._items]
+        words = [
+            name + (f"[{member.times}]" if isinstance(member, Repeated) else "")
+            for name, member in self._members.items()
+        ]
         if len(words) > 8:
             words = [*words[:6], "...", words[-1]]
         return f"Space({', '.join(words)}; dim {self.dim})"
-
-    @property
-    def _items(self) -> list[tuple[str, Member]]:
-        return list(self._members.items())
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Space) and self._key == other._key
-
-    def __hash__(self) -> int:
-        return hash(self._key)
-
-    @property
-    def _key(self) -> tuple[Any, ...]:
-        return (*self._items, self._expressions)
-
-    def __setattr__(self, name: str, value: object) -> None:
-        raise AttributeError(f"a Space cannot be changed; make another one with a new {name}")
 
 
 def _expressions(given: object) -> tuple[Expression, ...]:
@@ -285,19 +276,23 @@ def _expressions(given: object) -> tuple[Expression, ...]:
     if given is None:
         return ()
     if not isinstance(given, Mapping) or given.get("type") in ("float", "int", "choice"):
-        raise SpaceError(_RESERVED)
+        raise SpaceError(_NO_PARAMETER)
     if any(isinstance(text, Mapping) or not isinstance(name, str) for name, text in given.items()):
-        raise SpaceError(_RESERVED)
+        raise SpaceError(_NO_PARAMETER)
     return tuple(Expression(name, text) for name, text in given.items())
 
 
-def _step_into(inner: Any, key: str | int, empty: Any) -> Any:
-    """Return what `inner` has at the key, which is `empty` if it is new."""
-    if isinstance(inner, list) and key == len(inner):
-        inner.append(empty)
-    elif isinstance(inner, dict):
-        inner.setdefault(key, empty)
-    return inner[key]
+def _nested(members: Mapping[str, Member], values: Iterator[Any]) -> Params:
+    """Dictionaries and lists of values, one for each parameter below, in order."""
+    made: Params = {}
+    for key, member in members.items():
+        if isinstance(member, Group):
+            made[key] = _nested(member.members, values)
+        elif isinstance(member, Repeated):
+            made[key] = [_nested(member.group.members, values) for _ in range(member.times)]
+        else:
+            made[key] = next(values)
+    return made
 
 
 def _numbers(members: Mapping[str, Member], params: object, prefix: str) -> Iterator[float]:

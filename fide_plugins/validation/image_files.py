@@ -19,10 +19,8 @@ from fide_plugins.runtime.files import RefusedFileError, check_regular
 from fide_plugins.runtime.machine import missing
 from fide_plugins.runtime.messages import warn_user
 from fide_plugins.types import Float32
-from fide_plugins.validation.pixels import Pixels, refuse_type, scale_remedy
+from fide_plugins.validation.pixels import MAX_PIXELS, Pixels, refuse_type, scale_remedy
 
-MAX_PIXELS = 2**26
-"""Most pixels an image file may decode to (67 megapixels, 0.8 GB as float32)."""
 _WIDENED = ("PNG", "PPM")  # formats of 16 bits, which Pillow may keep in 32
 _TIFF = (".tif", ".tiff")  # Pillow reads floats of gray ones only
 _LAYERED = ("MPO", "PSD")  # their first frame is the picture, the others belong to it
@@ -208,22 +206,8 @@ def _of_16_bits(image: Any, size: tuple[int, int]) -> Pixels:
     return reduced(np.stack([gray, gray, gray, alpha], axis=-1), size)
 
 
-def save(path: str | os.PathLike[str], image: Float32) -> None:
-    """Write an image (H, W), (H, W, 3) or (H, W, 4) to the file `path`, whose ending says how.
-
-    .tif, .tiff, .exr (with the extra exr): 32-bit floats, any values, without loss.  .hdr: colors
-    that are not negative, to 1 % of the largest channel.  Other endings that Pillow writes, such as
-    .png: 8 bits, values in [0, 1].
-
-    Raises ImageError, before anything is written, for another ending, what is no image, NaN and
-    infinity but in floats, and an alpha channel where the format has none; OSError if it cannot be
-    written.
-    """
-    Path(path).write_bytes(encoded(image, Path(path).suffix))
-
-
 def encoded(image: Float32, suffix: str) -> bytes:
-    """What `save` writes to a file of that ending."""
+    """What `images.save` writes to a file of that ending."""
     pixels, suffix = np.asarray(image, np.float32), suffix.lower()
     if pixels.ndim not in (2, 3) or pixels.shape[2:] not in ((), (1,), (3,), (4,)):
         raise ImageError(f"an image to save has axes (H, W) or (H, W, C), not {pixels.shape}")

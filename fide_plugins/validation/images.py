@@ -35,14 +35,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
 from fide_plugins.errors import ImageError
 from fide_plugins.types import Float32, Mask
-from fide_plugins.validation.image_files import MAX_PIXELS, from_pil, read_pixels, save, shrunk
 from fide_plugins.validation.pixels import (
     CHANNELS,
+    MAX_PIXELS,
     Clip,
     OnClip,
     Pixels,
@@ -233,6 +234,8 @@ def load(
     An image whose longer side fits is not resized.  Raises `ImageNotFoundError` or `ImageError`,
     OptionError for a `max_side` that is no whole number >= 1.
     """
+    from fide_plugins.validation.image_files import read_pixels, shrunk
+
     if max_side is not None:
         max_side = whole_number("max_side", max_side, 1)
     what = repr(os.fspath(path))
@@ -243,6 +246,22 @@ def load(
     weights = as_target(mask, what="mask", size=shape, behind=0.0)[..., 0]
     pixels, shown = shrunk(pixels, weights, max_side)
     return as_target(pixels, what=what, hidden=None if shown is None else shown == 0)
+
+
+def save(path: str | os.PathLike[str], image: Float32) -> None:
+    """Write an image (H, W), (H, W, 3) or (H, W, 4) to the file `path`, whose ending says how.
+
+    .tif, .tiff, .exr (with the extra exr): 32-bit floats, any values, without loss.  .hdr: colors
+    that are not negative, to 1 % of the largest channel.  Other endings that Pillow writes, such as
+    .png: 8 bits, values in [0, 1].
+
+    Raises ImageError, before anything is written, for another ending, what is no image, NaN and
+    infinity but in floats, and an alpha channel where the format has none; OSError if it cannot be
+    written.
+    """
+    from fide_plugins.validation.image_files import encoded
+
+    Path(path).write_bytes(encoded(image, Path(path).suffix))
 
 
 # -- steps: to an array, channels last, unit range, three channels ---------------------------------
@@ -306,10 +325,14 @@ def _to_array(image: object, what: str, raw: bool = False) -> tuple[Pixels, bool
 
     raw: whether any numbers will do, those of a file as it has them.
     """
-    if is_path(image):
-        image = read_pixels(os.fspath(image), None, raw=raw)  # type: ignore[call-overload]
-    elif is_pil(image):
-        image = from_pil(image, what, raw=raw)
+    if is_path(image) or is_pil(image):
+        from fide_plugins.validation.image_files import from_pil, read_pixels  # rarely needed
+
+        image = (
+            read_pixels(os.fspath(image), None, raw=raw)  # type: ignore[call-overload]
+            if is_path(image)
+            else from_pil(image, what, raw=raw)
+        )
     elif is_torch_tensor(image):
         return from_tensor(image, what, raw), True
     if isinstance(image, np.ma.MaskedArray):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any, Final, TypeAlias
 
 import numpy as np
@@ -17,10 +17,20 @@ import numpy.typing as npt
 
 from fide_plugins.errors import ImageError, OptionError, ValueRangeError
 from fide_plugins.runtime.messages import warn_user
-from fide_plugins.runtime.schema import Schema, check, flag, real, whole
+from fide_plugins.runtime.schema import (
+    check,
+    flag,
+    form,
+    real,
+    saved,
+    values as saved_values,
+    whole,
+)
 from fide_plugins.types import Float32, Mask
 
 Pixels: TypeAlias = npt.NDArray[Any]
+MAX_PIXELS = 2**26
+"""Most pixels an image file may decode to (67 megapixels, 0.8 GB as float32)."""
 
 
 def describe(pixels: Any) -> str:
@@ -280,13 +290,13 @@ class Clipping:
     lit, above, total: as of `Clip`, of all of them.
     """
 
-    images: int = 0
-    low: float = 0.0
-    high: float = 1.0
-    lit: int = 0
-    above: int = 0
-    total: float = 0.0
-    warned: bool = False
+    images: int = saved(whole(), default=0)
+    low: float = saved(real(), default=0.0)
+    high: float = saved(real(), default=1.0)
+    lit: int = saved(whole(), default=0)
+    above: int = saved(whole(), default=0)
+    total: float = saved(real(), default=0.0)
+    warned: bool = saved(flag, default=False)
 
     def __call__(self, clip: Clip) -> None:
         """Count images; warns of the first ones.
@@ -320,24 +330,13 @@ class Clipping:
 
     def state_dict(self) -> dict[str, Any]:
         """Everything."""
-        return asdict(self)
+        return saved_values(self)
 
     @classmethod
     def from_state(cls, state: Mapping[str, Any]) -> Clipping:
         """What `state_dict` gave; raises ValueError for what it cannot have given."""
-        check(state, _SCHEMA, {}, "clipping")
+        check(state, form(cls), {}, "clipping")
         return cls(**state)
-
-
-_SCHEMA: dict[str, Schema] = {
-    "images": whole(),
-    "low": real(),
-    "high": real(),
-    "lit": whole(),
-    "above": whole(),
-    "total": real(),
-    "warned": flag,
-}
 
 
 def warn_clipped(clip: Clip) -> None:

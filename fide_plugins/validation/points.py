@@ -13,21 +13,6 @@ import numpy.typing as npt
 from fide_plugins.errors import OptionError, PointsError, SpaceError
 from fide_plugins.types import Float64
 
-__all__ = [
-    "as_point",
-    "as_points",
-    "as_real",
-    "as_whole",
-    "new_seed",
-    "number_of_parameters",
-    "standard_deviation",
-    "standard_deviations",
-    "starting_point",
-    "torch_seed",
-    "whole_instead",
-    "whole_number",
-]
-
 _MOST_PARAMETERS = 10_000  # a matrix of so many rows and columns has 0.8 GB
 
 

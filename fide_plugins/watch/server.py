@@ -116,7 +116,6 @@ class _Handler(BaseHTTPRequestHandler):
     server_version, sys_version = "fide", ""
 
     def do_GET(self) -> None:  # the base class's name
-        """Answer one request."""
         if self.headers.get_all("Host", []) not in ([host] for host in self.server.hosts):
             self._answer(HTTPStatus.MISDIRECTED_REQUEST, "text/plain", b"this is 127.0.0.1\n")
             return
@@ -128,7 +127,6 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer(HTTPStatus.OK, *found)
 
     def _found(self, path: str) -> tuple[str, bytes] | None:
-        """Type and contents of what has that name."""
         if path in _PAGE:
             name, kind = _PAGE[path]
             return kind, (resources("fide_plugins.watch") / "page" / name).read_bytes()

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from fide_plugins.recording.directory import LIVE
 from fide_plugins.runtime.files import MOST_BYTES, read_regular
-from fide_plugins.validation.image_files import MAX_PIXELS
+from fide_plugins.validation.pixels import MAX_PIXELS
 from fide_plugins.watch.live import listed
 
 __all__ = ["PICTURES", "RunFiles"]
@@ -65,7 +65,7 @@ class RunFiles:
         settings = run.get("settings")
         settings = settings if isinstance(settings, dict) else {}
         shown: dict[str, Any] = {
-            "state": _text(run.get("state", run.get("status", "not begun"))),  # its old name
+            "state": _text(run.get("state", "not begun")),
             "task": _text(settings.get("task", self.path.name)),
             "optimizer": _text(settings.get("optimizer", "")),
             "loss": _text(settings.get("loss", "loss")),
@@ -74,7 +74,7 @@ class RunFiles:
         totals = run.get("totals")
         under_way = shown["state"] == "running"  # then totals are those of an earlier call
         if isinstance(totals, dict) and not under_way:
-            shown["sentence"] = _text(totals.get("sentence", totals.get("status", "")))
+            shown["sentence"] = _text(totals.get("sentence", ""))
         live = self._json(LIVE)
         curve = self._once("curve.csv", self._mark("curve.csv"), self._curve) or {}
         newest = max(curve, live, key=lambda one: _whole(one.get("evaluations")))
@@ -101,7 +101,6 @@ class RunFiles:
     # -- files -------------------------------------------------------------------------------------
 
     def _read(self, name: str, most: int = MOST_BYTES) -> bytes | None:
-        """Contents of a regular file of the directory itself; None if there is none."""
         try:
             return read_regular(self.path / name, most, links=False)
         except OSError:
@@ -151,7 +150,6 @@ class RunFiles:
         return buffer.getvalue()
 
     def _curve(self) -> dict[str, Any]:
-        """From `curve.csv`: evaluations, best loss, seconds, and when the best loss fell."""
         data = io.BytesIO(self._read("curve.csv") or b"")
         lines = csv.DictReader(io.TextIOWrapper(data, "utf-8", "replace", newline=""))
         improvements: list[list[float]] = []
@@ -173,7 +171,6 @@ class RunFiles:
         return self._once("run.ckpt", self._mark("run.ckpt"), lambda: self._saved(settings)) or []
 
     def _saved(self, settings: dict[str, Any]) -> list[list[str]]:
-        """Parameters of the best point in the checkpoint; none where it is damaged."""
         from fide_plugins.recording.storage import read_checkpoint
         from fide_plugins.runtime.schema import IMPOSSIBLE
         from fide_plugins.space import Space
@@ -232,7 +229,6 @@ def _is_usual(value: float) -> bool:
 
 
 def _points(value: Any) -> list[list[float]]:
-    """Pairs of finite numbers, at most a thousand of them."""
     if not isinstance(value, list):
         return []
     try:
@@ -251,7 +247,6 @@ def _joined(curve: dict[str, Any], newest: dict[str, Any]) -> list[list[float]]:
 
 
 def _rows(value: Any) -> list[list[str]]:
-    """Rows of three texts."""
     if not isinstance(value, list):
         return []
     rows = [row for row in value if isinstance(row, list) and len(row) == 3]

@@ -125,7 +125,6 @@ class Grid:
     def _comparable(
         task_options: Mapping[str, Any], losses: Sequence[str], budget: int, task_seed: int
     ) -> dict[str, Any]:
-        """Settings that all comparisons of a sweep have in common."""
         options = {key: value for key, value in task_options.items() if key not in TASK}
         return {
             "task options": options, "loss": losses[0], "budget": budget, "task seed": task_seed,
@@ -272,7 +271,6 @@ def _combinations(results: Results, judge: _Judge | None) -> list[Combination]:
 
 
 def _is_noisy(run: StoredRun) -> bool:
-    """Whether the best loss during the run differs from the noise-free loss."""
     return bool(run.totals["best_loss"] != run.totals["reference_loss"])
 
 
@@ -329,10 +327,7 @@ def advice(combinations: Sequence[Combination]) -> dict[str, Point | None]:
 
 
 def write_tables(out: Path, combinations: Sequence[Combination]) -> str:
-    """Write tradeoff.md, tradeoff.csv and the figures; returns the text of tradeoff.md.
-
-    Raises OSError if a file cannot be written.
-    """
+    """Write tradeoff.md, tradeoff.csv and the figures; returns the text of tradeoff.md."""
     files.write_text(out / "tradeoff.csv", _csv(combinations))
     sections = []
     for task in dict.fromkeys(each.task for each in combinations):
@@ -358,7 +353,6 @@ def short_labels(combinations: Sequence[Combination]) -> dict[Combination, str]:
 
 
 def _shared(combinations: Sequence[Combination]) -> str:
-    """Options that all combinations share, without the preset."""
     common = set.intersection(*(set(s.words[1:]) for s in combinations))
     return " ".join(word for word in combinations[0].words[1:] if word in common)
 
@@ -394,7 +388,6 @@ def _advice_lines(combinations: Sequence[Combination]) -> list[str]:
 
 
 def _table(combinations: Sequence[Combination]) -> str:
-    """Table of all combinations, the lowest loss first."""
     labels = short_labels(combinations)
     on = {axis: {point.combination for point in front(combinations, axis)} for axis in AXES}
     lines = [
@@ -412,7 +405,6 @@ def _table(combinations: Sequence[Combination]) -> str:
 
 
 def _csv(combinations: Sequence[Combination]) -> str:
-    """One line for each combination, axis and mark."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["task", "setting", "size", "spp", "axis", "cost", "loss"])

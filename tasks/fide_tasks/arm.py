@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fide_tasks.base import Image, Parameter, Vector
-from fide_tasks.generated import GeneratedTask, axes
-from fide_tasks.limbs import cast_shadow, paint_limb
+from fide_tasks.generated import GeneratedTask, axes, cast_shadow, paint_limb
 
 JOINTS = (  # name, axis, lowest and highest angle in degrees, length to the next joint
     ("base yaw", "z", -170.0, 170.0, 0.35),

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fide_tasks import isolated, panda, robot_model, robot_poses
+from fide_tasks import isolated, panda, robot_model
 from fide_tasks.base import Image, Parameter, Task, Vector, whole_number
 from fide_tasks.offscreen import OffscreenError, Stage, import_mujoco
 
@@ -156,11 +156,11 @@ class Robot(Task):
             view.type = mujoco.mjtCamera.mjCAMERA_FIXED
             view.fixedcamid = self._model.camera(self.camera).id
             return view
-        view.lookat[:] = robot_poses.LOOK_AT
-        view.distance = robot_poses.DISTANCE
-        view.azimuth, view.elevation = robot_poses.AZIMUTH, robot_poses.ELEVATION
+        view.lookat[:] = panda.LOOK_AT
+        view.distance = panda.DISTANCE
+        view.azimuth, view.elevation = panda.AZIMUTH, panda.ELEVATION
         height, width = self.size
-        half = np.tan(np.radians(robot_poses.FOV / 2)) * max(1.0, height / width)
+        half = np.tan(np.radians(panda.FOV / 2)) * max(1.0, height / width)
         self._model.vis.global_.fovy = 2 * np.degrees(np.arctan(half))
         return view
 
@@ -175,7 +175,7 @@ class Robot(Task):
         rng = np.random.default_rng((self.seed, self.dim))
         while True:  # a third of the draws pass
             x = rng.uniform(0.05, 0.95, self.dim)
-            if robot_poses.is_good(self._physical(x)):
+            if panda.is_good(self._physical(x)):
                 return x
 
     def __getstate__(self) -> dict[str, Any]:

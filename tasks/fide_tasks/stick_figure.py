@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fide_tasks.base import Image, Parameter, Vector
-from fide_tasks.generated import GeneratedTask, axes, half_extent
-from fide_tasks.limbs import paint_limb
+from fide_tasks.generated import GeneratedTask, axes, half_extent, paint_limb
 
 BONES = {  # name: (bone it hangs on, length, radius at its start and at its end)
     "belly": (None, 0.14, 0.055, 0.05),

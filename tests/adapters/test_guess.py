@@ -21,7 +21,7 @@ from PIL import Image
 
 from fide_adapters.nevergrad import ParametrizedFIDE
 from fide_adapters.optuna import FIDESampler
-from fide_plugins import FIDE, Choice, Float, Int, Space, fit
+from fide_plugins import Choice, Float, Int, Space
 from fide_plugins.cli import main
 from fide_plugins.types import Float32, Float64
 
@@ -106,42 +106,6 @@ class Rendered:
 # -- ways of giving a start ------------------------------------------------------------------------
 
 
-def asked(render: Rendered, seed: int, n: int | None) -> Found:
-    opt = FIDE(SPACE, TARGET, x0=GUESS, seed=seed)
-    while opt.evaluations < RENDERS:
-        X = opt.ask(n)
-        opt.tell(X, [render(SPACE.decode(x)) for x in X])
-    assert opt.best is not None
-    return render.found(opt.best.loss)
-
-
-def fitted(render: Rendered, seed: int, x0: Any = GUESS, guess: Params = GUESS) -> Found:
-    result = fit(render, TARGET, SPACE, x0=x0, budget=RENDERS, workers=0, seed=seed)
-    assert result.best is not None
-    return render.found(result.best.loss, guess)
-
-
-def in_stages(render: Rendered, seed: int, by: Callable[[Any], Any]) -> Found:
-    """A second fit begins where a first one ended, with another seed."""
-    first = fit(draw, TARGET, SPACE, budget=RENDERS, workers=0, seed=seed)
-    assert isinstance(first.params, dict)
-    return fitted(render, seed + 100, by(first), first.params)
-
-
-def retargeted(render: Rendered, seed: int, options: Params) -> Found:
-    """The same picture again: where the first search ended."""
-    opt = FIDE(SPACE, TARGET, seed=seed, **options)
-    for _ in range(3):
-        X = opt.ask()
-        opt.tell(X, [draw(SPACE.decode(x)) for x in X])
-    assert opt.best is not None and opt.best.params is not None
-    guess = opt.best.params
-    opt.retarget(TARGET)
-    X = opt.ask()
-    opt.tell(X, [render(SPACE.decode(x)) for x in X])
-    return render.found(opt.best.loss, guess)
-
-
 def suggest(trial: Any) -> Params:
     return {
         "x": trial.suggest_float("x", -1, 1),
@@ -200,14 +164,6 @@ def by_shell(command: list[str], seed: int, capsys: pytest.CaptureFixture[str]) 
 
 FIT = ["fit", "target.png", "--renderer", "scene.py:render", "--workers", "0"]
 WAYS: dict[str, Callable[[Rendered, int], Found]] = {
-    "ask()": lambda render, seed: asked(render, seed, None),
-    "ask(3)": lambda render, seed: asked(render, seed, 3),
-    "fit": fitted,
-    "fit, a point": lambda render, seed: fitted(render, seed, SPACE.encode(GUESS)),
-    "result.params": lambda render, seed: in_stages(render, seed, lambda first: first.params),
-    "result.best.x": lambda render, seed: in_stages(render, seed, lambda first: first.best.x),
-    "retarget": lambda render, seed: retargeted(render, seed, {}),
-    "retarget, losses": lambda render, seed: retargeted(render, seed, {"proposer": "none"}),
     "optuna": lambda render, seed: enqueued(render, seed, None),
     "optuna, its space": lambda render, seed: enqueued(render, seed, DISTRIBUTIONS),
     "nevergrad, value": lambda render, seed: by_nevergrad(render, seed, suggested=False),

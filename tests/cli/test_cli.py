@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import json
 import os
 import re
@@ -25,6 +24,7 @@ from fide_plugins.cli.arguments import setting
 from fide_plugins.cli.terminal import as_typed, duration, note, plain
 from fide_plugins.fide import FIDE
 from fide_plugins.options import GLOBAL, PRESETS
+from fide_plugins.runtime.machine import EXTRAS
 
 from .conftest import KEYS, fide, one_line
 
@@ -233,8 +233,7 @@ def test_doctor(capsys: pytest.CaptureFixture[str]) -> None:
     facts = json.loads(capsys.readouterr().out)
     for kind, name in [("tasks", "voronoi"), ("optimizers", "cma"), ("losses", "mse")]:
         assert facts[kind][name] is None
-    extras = importlib.metadata.metadata("fide-plugins").get_all("Provides-Extra") or []
-    assert set(facts["extras"]) == set(extras) - {"all", "dev", "docs"}
+    assert facts["extras"].keys() == EXTRAS.keys()
     from fide_plugins.cli.doctor_command import _text
 
     facts["losses"]["lpips"] = "weights not found"

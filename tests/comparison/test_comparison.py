@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import argparse
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
-from fide_plugins import FIDE
+from fide_plugins import FIDE, fit
+from fide_plugins.cli.fit_command import add_arguments
+from fide_plugins.comparison.comparison import blurred
+from fide_plugins.comparison.mismatch import explanation
 from fide_plugins.errors import ImageError, OptionError
 from fide_plugins.evaluation import Evaluator
+from fide_plugins.status import Facts, status_of
 
 Image = npt.NDArray[np.float32]
 SIZE = 32
@@ -252,3 +257,54 @@ def test_losses_that_a_user_tells_are_not_replaced() -> None:
         X = optimizer.ask()
         optimizer.tell(X, [render(x) for x in X], np.square(X).sum(axis=1))
     assert optimizer.state.comparisons == 0
+
+
+def test_fit_takes_images_with_coverage_and_says_what_is_left() -> None:
+    target = exposed(render(TRUE))
+    result = fit(
+        lambda x: (render(x), coverage(x) * 0 + 1), target, 2,
+        budget=120, workers=0, seed=0, photo=True,
+    )  # fmt: skip
+    assert result.best is not None
+    assert abs(result.best.x - TRUE).max() < 0.05
+    assert result.residual.shape == (SIZE, SIZE)
+    assert result.best.photometric is not None
+    assert result.optimizer.best.loss == result.best.loss <= result.losses[-1]
+
+
+LIGHT = np.full((SIZE, SIZE, 3), 0.1, np.float32)
+CLUTTER = np.zeros((SIZE, SIZE, 3), np.float32)
+CLUTTER[4:12, 4:12] = 0.4
+
+
+@pytest.mark.parametrize(
+    ("target", "agreed", "cause"),
+    [
+        (render(TRUE) + LIGHT, False, "another light"),
+        (blurred(render(TRUE), 1.5), False, "blur"),
+        (render(TRUE) + CLUTTER, True, "small part"),
+        (render(TRUE) + CLUTTER, False, None),  # so differs the image of a local optimum
+        (render(TRUE) + 0.01, True, None),
+        (render([0.9, 0.1]), False, None),
+    ],
+)
+def test_what_is_left_is_named(target: Image, agreed: bool, cause: str | None) -> None:
+    said = explanation(render(TRUE), target, None, agreed=agreed)
+    assert said is None if cause is None else said is not None and cause in said
+
+
+def test_status_of_a_mismatch_names_the_cause() -> None:
+    facts = Facts(1000, 0.1, 10, 100, [3], mismatch="another light explains 90% of it")
+    assert status_of(facts).code == "mismatch"
+    assert "another light" in status_of(facts).sentence
+
+
+def test_command_line_takes_the_options() -> None:
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    args = parser.parse_args(
+        ["a.png", "--renderer", "a.py:f", "--photo", "--robust", "--photometric", "exposure"]
+    )
+    assert (args.photo, args.robust, args.photometric) == (True, "auto", "exposure")
+    args = parser.parse_args(["a.png", "--renderer", "a.py:f", "--robust", "0.2"])
+    assert (args.photo, args.robust, args.background) == (None, 0.2, None)

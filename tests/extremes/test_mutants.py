@@ -127,7 +127,7 @@ def test_spaces(tmp_path: Path) -> None:
 @pytest.mark.parametrize("change", [mutant, mutant_of_json])
 def test_records_of_runs(change: Callable[[bytes, int], bytes], tmp_path: Path) -> None:
     run = {
-        "format": 2, "status": "running", "settings": {"dim": 2, "size": [4, 4], "seed": 0},
+        "format": 2, "state": "running", "settings": {"dim": 2, "size": [4, 4], "seed": 0},
         "resumed": ["2026-01-01T00:00:00+00:00"], "limits": {"budget": 60, "time": None},
         "totals": {"best_loss": 1.5e-3, "evaluations": 60, "status": "improving"},
     }  # fmt: skip

@@ -92,32 +92,6 @@ def test_a_generation_that_is_complete_before_its_proposals_are_due(
     assert states[0] == states[1]
 
 
-def test_what_training_raises_comes_with_the_next_question_and_loses_no_candidate(
-    target: Float32, render: Render, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    opt = FIDE(6, target, seed=1, **PAPER)
-    proposer: Any = opt.state.proposer
-
-    def fail(*arguments: object) -> None:
-        raise MemoryError("too large")
-
-    with monkeypatch.context() as patch:
-        patch.setattr(proposer._proposer, "update", fail)
-        X = opt.ask()
-        opt.tell(X, render(X))
-        assert opt.evaluations == 8
-        X = opt.ask_ready()
-        opt.tell(X, render(X))
-        with pytest.raises(MemoryError, match="too large") as caught:
-            opt.ask()
-        assert "training of the denoiser" in caught.value.__notes__[0]
-    rest = opt.ask()
-    assert rest.shape == (4, 6)
-    opt.tell(rest, render(rest))
-    assert opt.state.population.generations == 2
-    run(opt, render, 2)
-
-
 @pytest.mark.parametrize("background", [True, False])
 @pytest.mark.parametrize("error", [MemoryError("too large"), KeyboardInterrupt()])
 def test_a_generation_whose_training_raises_is_not_lost(
@@ -191,20 +165,6 @@ def test_no_memory_for_features_changes_nothing(
     assert state_of(opt) == before
     opt.tell(X, render(X))
     assert opt.evaluations == 8
-
-
-def test_saving_takes_no_time_from_what_was_not_counted(
-    target: Float32, render: Render, tmp_path: Path
-) -> None:
-    """Proposals that are due are made then, and waited for."""
-    opt = FIDE(6, target, seed=1, **PAPER | {"epochs": 30})
-    run(opt, render, 1)
-    opt.ask(2)
-    search = opt.times["search"]
-    assert opt.training
-    opt.save(tmp_path / "c")
-    assert not opt.training
-    assert opt.times["search"] == search and opt.times["train"] > 0
 
 
 def test_what_is_set_reaches_the_network(

@@ -48,17 +48,6 @@ def test_a_late_candidate_is_injected(target: Float32) -> None:
     np.testing.assert_array_equal(opt.state.search.mean, plain.mean)
 
 
-def test_asking_ahead_does_not_stop_the_search(render: Render, target: Float32) -> None:
-    """A user who always has two generations out still makes progress."""
-    opt = FIDE(6, target, popsize=8, seed=0)
-    out = opt.ask()
-    for _ in range(80):
-        ahead = opt.ask()
-        opt.tell(out, render(out))
-        out = ahead
-    assert opt.best is not None and opt.best.loss < 2e-3
-
-
 def test_points_that_were_never_asked_can_become_the_best(
     render: Render, target: Float32, answer: Float64
 ) -> None:
@@ -149,16 +138,6 @@ def test_a_guess_that_is_the_best_is_recommended(
     np.testing.assert_array_equal(opt.recommend(), answer)
 
 
-@pytest.mark.filterwarnings("ignore:all images of")
-def test_injected_candidates_are_not_remembered_for_ever(target: Float32) -> None:
-    opt = FIDE(2, target, seed=0)
-    image = np.zeros((500, *target.shape), np.float32)
-    for i in range(5):
-        opt.tell(np.random.default_rng(i).random((500, 2)), image)
-    assert opt.evaluations == 2500
-    assert len(opt.state.samples) <= 1000
-
-
 @pytest.mark.parametrize(
     ("told", "pair"),
     [
@@ -190,34 +169,3 @@ def test_the_pair_that_measures_the_step_size_is_found_in_any_order(
     assert opt.state.population.generations == 4
     assert factor != 1
     assert search.sigma == pytest.approx(sigma * factor, rel=1e-12)
-
-
-def test_a_pair_of_an_earlier_generation_does_not_stand_for_that_of_the_present_one() -> None:
-    """Told late; the step size is as if others had been told in its place."""
-    options: dict[str, Any] = {"proposer": "none", "restarts": "none", "guard_search": False}
-    sigmas = []
-    for late in (slice(8, 10), slice(10, 12)):  # a pair, and two others
-        opt = FIDE(60, TINY, seed=0, popsize=8, sigma0=0.05, **options)
-        X = opt.ask()
-        opt.tell(X, None, sphere(X))
-        X = opt.ask(16)
-        opt.tell(X[:8], None, sphere(X[:8]))
-        new = opt.ask(6)
-        opt.tell(new, None, np.arange(6.0))
-        opt.tell(X[late], None, [10.0, 11.0])
-        assert opt.state.population.generations == 3
-        sigmas.append(opt.state.search.distribution.sigma)
-    assert sigmas[0] == pytest.approx(sigmas[1], rel=1e-12)
-
-
-def test_points_may_come_back_in_single_precision(render: Render, target: Float32) -> None:
-    """They are those that were asked, bit for bit, in searches, tests and restarts."""
-    double, single = FIDE(6, target, seed=0, popsize=8), FIDE(6, target, seed=0, popsize=8)
-    for _ in range(60):
-        X, Y = double.ask(), single.ask()
-        np.testing.assert_array_equal(X, Y)
-        images = render(X)
-        double.tell(X, images)
-        single.tell(Y.astype(np.float32), images)
-        assert single.state.population.pending == 0 and single.state.injected is None
-    assert single.state.searches > 1

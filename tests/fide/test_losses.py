@@ -70,17 +70,6 @@ def test_flat_losses_over_many_restarts(value: float, render: Render, target: Fl
     assert opt.best is not None and opt.best.evaluation == 0
 
 
-def test_restarts_without_any_image(target: Float32) -> None:
-    """Also from a narrow beginning, far away."""
-    for seed in range(8):
-        opt = FIDE(3, target, seed=seed, patience=5, improvement=0.01, guard_images=False)
-        for _ in range(120):
-            X = opt.ask()
-            opt.tell(X, None, sphere(X))
-        assert opt.state.searches > 2
-        assert opt.best is not None and opt.best.loss < 1e-5
-
-
 @pytest.mark.parametrize("restarts", ["moves", "none"])
 def test_a_search_leaves_a_region_in_which_all_renders_fail(target: Float32, restarts: str) -> None:
     """It begins narrowly in its middle, five standard deviations from where it ends."""

@@ -131,15 +131,6 @@ def test_saved_in_the_middle(
     assert state_of(copy) == state_of(original)
 
 
-def test_single_precision_on_the_way_does_not_hide_what_was_asked(
-    target: Float32, render: Render
-) -> None:
-    opt = until(Stage.SENSITIVITY, target, render)
-    X = opt.ask()
-    opt.tell(X.astype(np.float32).astype(np.float64), render(X))
-    assert np.count_nonzero(opt.state.moves.known.sensitivity._pairs) == 36
-
-
 @pytest.mark.parametrize("restarts", ["anew", "none"])
 def test_can_be_switched_off(restarts: str, target: Float32, render: Render) -> None:
     opt = FIDE(6, target, restarts=restarts, **SHORT)

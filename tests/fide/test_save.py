@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import sys
 import threading
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,6 @@ from fide_plugins.errors import (
     UnknownNameError,
 )
 from fide_plugins.fide import FIDE
-from fide_plugins.losses.base import CallableLoss, LossOfTarget
 from fide_plugins.runtime import checkpoint
 from fide_plugins.space import Choice, Float, Group, Space
 from fide_plugins.types import Float32, Float64
@@ -116,14 +114,6 @@ def test_continues_bit_for_bit(
     np.testing.assert_array_equal(original.best.image, copy.best.image)
 
 
-def test_saving_changes_nothing(target: Float32, render: Render, tmp_path: Path) -> None:
-    saved, other = (begun(target, render, {"popsize": 8}) for _ in range(2))
-    for i in range(3):
-        saved.save(tmp_path / "c")
-        a, b = go_on(saved, render, 2), go_on(other, render, 2)
-        np.testing.assert_array_equal(a, b, err_msg=str(i))
-
-
 def test_candidates_that_were_out_may_be_told_to_the_copy(
     target: Float32, render: Render, tmp_path: Path
 ) -> None:
@@ -136,12 +126,6 @@ def test_candidates_that_were_out_may_be_told_to_the_copy(
         opt.tell(X[3:], render(X[3:]))
     np.testing.assert_array_equal(original.ask(), copy.ask())
     assert original.evaluations == copy.evaluations == 8
-
-
-def test_before_anything_was_told(target: Float32, tmp_path: Path) -> None:
-    original = FIDE(3, target)  # a seed of its own
-    original.save(tmp_path / "c")
-    np.testing.assert_array_equal(FIDE.load(tmp_path / "c").ask(), original.ask())
 
 
 def mse(images: Float32) -> Float64:
@@ -330,25 +314,6 @@ def test_the_target_of_a_checkpoint_is_no_path(target: Float32, tmp_path: Path) 
         FIDE.load(tmp_path / "c")
 
 
-@pytest.mark.parametrize("given", [None, "mse", mse])
-def test_the_loss_is_made_once(
-    given: Any, target: Float32, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    FIDE(3, target, loss="mse", seed=0).save(tmp_path / "c")
-    made: list[str] = []
-    for kind in (LossOfTarget, CallableLoss):
-
-        def counted(
-            self: object, *arguments: Any, init: Callable[..., None] = kind.__init__
-        ) -> None:
-            made.append(type(self).__name__)
-            init(self, *arguments)
-
-        monkeypatch.setattr(kind, "__init__", counted)
-    opt = FIDE.load(tmp_path / "c", loss=given)
-    assert made == [type(opt.evaluator.loss).__name__]
-
-
 def test_a_directory_that_cannot_be_written(target: Float32, tmp_path: Path) -> None:
     opt = FIDE(3, target, seed=0)
     with pytest.raises(OSError, match="absent"):
@@ -416,16 +381,3 @@ def test_two_optimizers_of_one_state_have_their_own_times(target: Float32, rende
     other.load_state_dict(held)
     go_on(opt, render, 3)
     assert held["times"] == other.times == seconds != opt.times
-
-
-def test_a_state_is_read_between_two_calls_of_other_threads(
-    target: Float32, render: Render
-) -> None:
-    opt = begun(target, render, {"popsize": 8})
-    for method in (opt.state_dict, opt.snapshot):
-        reader = threading.Thread(target=method)
-        with opt._lock:
-            reader.start()
-            reader.join(0.2)
-            assert reader.is_alive()
-        reader.join()

@@ -88,15 +88,6 @@ def test_a_test_waits_for_its_own_candidates(stage: Stage, target: Float32, rend
     assert opt.evaluations == before + len(own) + 3
 
 
-def test_an_extra_candidate_can_be_the_best(target: Float32, render: Render) -> None:
-    opt = until(Stage.EXCHANGE, target, render)
-    opt.ask()
-    [x] = opt.ask(1)
-    opt.tell(x[None], render(x[None]), [-1.0])
-    assert opt.best is not None and opt.best.loss == -1.0
-    np.testing.assert_array_equal(opt.best.x, x)
-
-
 @pytest.mark.parametrize("stage", TESTS)
 @pytest.mark.parametrize("withdrawn", [False, True])
 def test_lost_candidates_stop_nothing(

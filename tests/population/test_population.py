@@ -144,24 +144,6 @@ def test_state_goes_on(told: int) -> None:
     assert outcomes[0] == outcomes[1]
 
 
-def test_an_empty_population_has_a_state() -> None:
-    copy = Population.from_state(Population().state_dict(), 2)
-    assert (copy.size, copy.remaining, copy.pending, copy.drawn) == (0, 0, 0, 0)
-    assert not copy.complete
-
-
-def test_generations_may_differ_in_size() -> None:
-    population = drawn(3)
-    for size in (5, 2, 7):
-        for x in hand_out(population, population.remaining):
-            assert not population.complete
-            population.record(x, 0.0)
-        assert population.complete
-        population.close_generation()
-        drawn(size, seed=size, population=population)
-        assert population.remaining == size
-
-
 def test_what_never_comes_back_is_given_up_the_oldest_first(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

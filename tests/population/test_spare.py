@@ -75,22 +75,6 @@ def test_a_generation_whose_candidates_are_lost_is_completed_by_spare_ones() -> 
     assert len(members) == told, "if not one came back, the others are all that is known"
 
 
-def test_a_generation_is_completed_although_most_spare_ones_are_lost_too() -> None:
-    """None is told of the own ones, and of the others every third, generation for generation."""
-    population = Population()
-    rng = np.random.default_rng(0)
-    population.draw(*[rng.random((6, 2))] * 2)
-    hand_out(population, 6)
-    asked = 0
-    while not population.complete:
-        x = rng.random((6, 2))
-        population.draw(x, x, spare=True)
-        for row in hand_out(population, 6)[::3]:
-            population.record(row, 0.0)
-        asked += 6
-        assert asked < 200
-
-
 @pytest.mark.parametrize("saved", [False, True])
 def test_what_is_later_than_all_others_is_not_awaited(saved: bool) -> None:
     population, generation = Population(), 0

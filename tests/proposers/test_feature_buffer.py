@@ -117,18 +117,3 @@ def test_images_that_are_all_the_same() -> None:
     moved = images(points(5, seed=1), [7])
     some.update(points(5, seed=1), moved, np.arange(5.0), STD)
     assert used(some) == [[7], [7]]
-
-
-def test_state_goes_on_bit_for_bit() -> None:
-    original, _ = proposers(capacity=10)
-    copy, _ = proposers(capacity=10)
-    for step in range(7):
-        moving = [[1, 2, 5], [1], [1, 7]][step % 3]
-        x, losses = points(4, seed=step), np.random.default_rng(step).random(4)
-        for proposer in (original, copy):
-            proposer.update(x, images(x, moving), losses, STD)
-        state = original.state_dict()
-        copy, _ = proposers(capacity=10)
-        copy.load_state_dict(state)
-        target = images(points(1, seed=9), [1, 2])[0]
-        np.testing.assert_array_equal(propose(original, target), propose(copy, target))

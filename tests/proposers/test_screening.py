@@ -186,21 +186,6 @@ def test_it_begins_with_half_as_many(minimum: int) -> None:
             assert np.isfinite(screened.propose(mean, tokens[0], mean[0], STD, rng)).all()
 
 
-def test_a_copy_learns_alone() -> None:
-    x = samples(20)
-    tokens, losses = torch.as_tensor(local_images(x).reshape(20, T, C)), np.arange(20.0)
-    one = LinearProposer(D, capacity=20, screening=True)
-    one.update(x[:10], tokens[:10], losses[:10], STD)
-    mean = np.full((3, D), 0.5)
-    before = one.propose(mean, tokens[4], mean[0], STD, np.random.default_rng(0))
-    other = one.copy()
-    other.update(x[10:], tokens[10:], losses[10:], STD)
-    after = one.propose(mean, tokens[4], mean[0], STD, np.random.default_rng(0))
-    np.testing.assert_array_equal(before, after)
-    changed = other.propose(mean, tokens[4], mean[0], STD, np.random.default_rng(0))
-    assert not np.array_equal(before, changed)
-
-
 @pytest.mark.parametrize(("dim", "popsize", "possible"), [(40, 15, True), (12, 15, False)])
 def test_it_is_for_more_parameters_than_candidates(dim: int, popsize: int, possible: bool) -> None:
     """By default with a learned model.  Robot's seven parameters are told apart by all tokens."""
@@ -224,17 +209,3 @@ def told(generations: int, **options: Any) -> FIDE:
         X = opt.ask()
         opt.tell(X, pixels(X))
     return opt
-
-
-def test_a_search_goes_on_from_a_checkpoint_bit_for_bit() -> None:
-    """Also where the option does not say so, as without the model with which it began."""
-    opt = told(8, screening=True)
-    assert opt.state.proposer is not None and opt.state.proposer.ready
-    for other in (told(0, screening=True), told(0)):
-        other.load_state_dict(opt.state_dict())
-        for _ in range(3):
-            X, Y = opt.ask(), other.ask()
-            np.testing.assert_array_equal(X, Y)
-            other.tell(Y, pixels(Y))
-            opt.tell(X, pixels(X))
-        opt = told(8, screening=True)

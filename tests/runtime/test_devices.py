@@ -7,11 +7,22 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from torch import Tensor, nn
 
 from fide_plugins import encoders
 from fide_plugins.fide import FIDE
 from fide_plugins.runtime import devices
-from fide_plugins.runtime.devices import repeatable, resolve_device
+from fide_plugins.runtime.devices import (
+    BatchSize,
+    batch_size,
+    digest,
+    in_batches,
+    is_out_of_gpu_memory,
+    is_out_of_memory,
+    repeatable,
+    resolve_device,
+    stack,
+)
 
 TARGET = np.zeros((32, 32, 3), np.float32)
 
@@ -79,7 +90,7 @@ def test_a_network_is_what_a_gpu_makes_faster(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_on_the_cpu_there_is_no_stream_to_enter() -> None:
-    with devices.as_here(torch.device("cpu"))():
+    with devices.on_current_stream(torch.device("cpu"))():
         pass
 
 
@@ -97,3 +108,123 @@ def test_settings_of_cudnn_are_as_before_after_what_is_to_be_repeatable(
     assert (cudnn.deterministic, cudnn.benchmark) == before
     with repeatable(torch.device("cpu")):
         assert (cudnn.deterministic, cudnn.benchmark) == before
+
+
+# -- batch sizes if a device or the CPU has too little memory --------------------------------------
+
+
+CPU = RuntimeError(
+    "[enforce fail at alloc_cpu.cpp:124] err == 0. DefaultCPUAllocator: can't allocate memory: you "
+    "tried to allocate 4000000000000 bytes. Error code 12 (Cannot allocate memory)"
+)
+DEVICE = torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 20.00 GiB.")
+LIBRARY = RuntimeError("CUDA error: CUBLAS_STATUS_ALLOC_FAILED when calling `cublasCreate(handle)`")
+
+
+@pytest.mark.parametrize("error", [CPU, DEVICE, LIBRARY, MemoryError()])
+def test_whatever_says_so_makes_pieces_smaller(error: Exception) -> None:
+    done: list[int] = []
+
+    def work(piece: slice) -> None:
+        if piece.stop - piece.start > 3:
+            raise error
+        done.extend(range(piece.start, piece.stop))
+
+    assert is_out_of_memory(error)
+    with pytest.warns(RuntimeWarning, match="from now on 4") as warned:
+        BatchSize(8, "things").each(work, 11)
+    assert done == list(range(11)) and len(warned) == 1
+
+
+def test_torch_reports_the_cpu_s_memory_so() -> None:
+    """In words that may change with its version."""
+    with pytest.raises(RuntimeError) as caught:
+        torch.empty(2**58, dtype=torch.uint8)
+    assert is_out_of_memory(caught.value) and not is_out_of_gpu_memory(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("error", "of_gpu"), [(CPU, False), (DEVICE, True), (LIBRARY, True), (MemoryError(), False)]
+)
+def test_whose_memory_it_is(error: Exception, of_gpu: bool) -> None:
+    assert is_out_of_gpu_memory(error) is of_gpu
+
+
+def test_other_errors_are_none_of_it() -> None:
+    def work(piece: slice) -> None:
+        raise RuntimeError("mat1 and mat2 shapes cannot be multiplied")
+
+    with pytest.raises(RuntimeError, match="mat1"):
+        BatchSize(8, "things").each(work, 8)
+    assert not is_out_of_memory(ValueError("out of memory"))
+
+
+def test_a_stack_that_is_too_large_for_a_device_is_on_the_cpu(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    tensors, honest, tried = [torch.full((2,), float(i)) for i in range(3)], torch.stack, []
+
+    def small(tensors: list[Tensor]) -> Tensor:
+        tried.append(len(tensors))
+        if len(tried) == 1:
+            raise DEVICE
+        return honest(tensors)
+
+    monkeypatch.setattr(torch, "stack", small)
+    assert stack(tensors).tolist() == [[0, 0], [1, 1], [2, 2]] and tried == [3, 3]
+
+    def broken(tensors: list[Tensor]) -> Tensor:
+        raise RuntimeError("stack expects each tensor to be equal size")
+
+    monkeypatch.setattr(torch, "stack", broken)
+    with pytest.raises(RuntimeError, match="equal size"):
+        stack(tensors)
+
+
+# -- batches of one size ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("side", "on_cpu", "on_gpu"),
+    [(512, 1, 6), (224, 1, 32), (112, 2, 128), (80, 3, 250), (64, 4, 256), (16, 4, 256)],
+)
+def test_a_single_image_pays_for_few(side: int, on_cpu: int, on_gpu: int) -> None:
+    assert batch_size(torch.device("cpu"), side, side) == on_cpu
+    assert batch_size(torch.device("cuda"), side, side) == on_gpu
+
+
+@pytest.mark.parametrize("n", [0, 1, 3, 4, 7])
+def test_the_network_sees_one_size(n: int) -> None:
+    seen: list[int] = []
+
+    def network(x: Tensor) -> Tensor:
+        seen.append(len(x))
+        return x.sum(dim=1) + 1
+
+    images = torch.arange(2.0 * n).reshape(n, 2)
+    assert torch.equal(in_batches(network, images, 3), images.sum(dim=1) + 1)
+    assert seen == [3] * max(-(-n // 3), 1)
+
+
+# -- other weights, names of weights or settings have another digest -------------------------------
+
+
+def network(second: float = 1.0) -> nn.Module:
+    """A network of two numbers."""
+    made = nn.Linear(2, 1, bias=False)
+    made.weight.data = torch.tensor([[1.0, second]])
+    return made
+
+
+def test_it_is_of_names_and_values() -> None:
+    first = digest(network())
+    assert len(first) == 8 and digest(network()) == first
+    assert digest(network(1.0000001)) != first
+    assert digest(nn.Sequential(network())) != first  # "0.weight"
+
+
+def test_it_may_be_of_more() -> None:
+    one, other = network(), network(0.0)
+    made = [digest(one), digest(one, other), digest(other, one)]
+    made += [digest(one, extra=[1.0]), digest(one, extra=[2.0])]
+    assert len(set(made)) == 5

@@ -1,13 +1,27 @@
-"""How many cores a process may use."""
+"""The machine: cores, extras, OpenCV, and what works without matplotlib."""
 
 from __future__ import annotations
 
+import importlib
+import importlib.metadata
 import os
+import re
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
-from fide_plugins.runtime.machine import cores
+from fide_plugins import Float, Space, fit
+from fide_plugins.cli import main
+from fide_plugins.errors import DependencyError
+from fide_plugins.runtime import machine
+from fide_plugins.runtime.machine import EXTRAS, cores, missing
+from fide_plugins.runtime.plotting import new_figure
 
 
 @pytest.fixture(autouse=True)
@@ -56,3 +70,203 @@ def test_a_quota_of_a_control_group_counts(
 
 def test_without_control_groups_the_affinity_counts(tmp_path: Path) -> None:
     assert cores(tmp_path / "none", tmp_path) == 16
+
+
+# -- the extras named in errors are those of the distribution --------------------------------------
+
+
+REQUIREMENT = re.compile(r"([\w.-]+)[^;]*; extra == ['\"]([\w-]+)['\"]")
+NAME = re.compile(r"[\w.-]+")
+PROJECT = Path(__file__).parents[2] / "pyproject.toml"
+NOT_FOR_USERS = {"all", "dev", "docs", "release"}
+
+
+def declared() -> dict[str, set[str]]:
+    """Packages of each extra; by the project's file, which an installation may be older than."""
+    found: dict[str, set[str]] = {}
+    if PROJECT.exists():
+        project = tomllib.loads(PROJECT.read_text("utf-8"))["project"]
+        for extra, packages in project["optional-dependencies"].items():
+            names = [match[0].lower() for package in packages if (match := NAME.match(package))]
+            found[extra] = set(names)
+        return found
+    for requirement in importlib.metadata.requires("fide-plugins") or []:
+        if match := REQUIREMENT.match(requirement):
+            found.setdefault(match[2], set()).add(match[1].lower())
+    return found
+
+
+def test_the_extras_are_those_that_are_declared() -> None:
+    found = declared()
+    ours = {extra: {name.lower() for name in packages} for extra, packages in EXTRAS.items()}
+    assert ours == {name: found[name] for name in found.keys() - NOT_FOR_USERS}
+    assert "matplotlib" in found["dev"]
+
+
+@pytest.mark.parametrize("extra", EXTRAS)
+def test_the_error_names_packages_first_and_then_the_extra(extra: str) -> None:
+    words = f"x: pip install {' '.join(EXTRAS[extra])} (or this distribution with its extra {extra}"
+    assert str(missing(extra, "x")) == f"{words}: pip install 'fide-plugins[{extra}]')"
+
+
+def test_one_package_of_an_extra() -> None:
+    assert str(missing("dinov3", "x", "safetensors")).startswith("x: pip install safetensors (or")
+
+
+# -- A broken OpenCV is said to be broken, with the commands that mend it --------------------------
+
+
+HERE = "fide_plugins.runtime.opencv"
+OURS = machine.OPENCV
+
+
+@pytest.fixture
+def present(monkeypatch: pytest.MonkeyPatch) -> set[str]:
+    """Distributions of OpenCV that seem to be installed, none at first."""
+    names: set[str] = set()
+    version = importlib.metadata.version
+
+    def seen(name: str) -> str:
+        if "opencv" not in name:
+            return version(name)
+        if name not in names:
+            raise importlib.metadata.PackageNotFoundError(name)
+        return "5.0"
+
+    monkeypatch.setattr(importlib.metadata, "version", seen)
+    return names
+
+
+def _modules() -> list[str]:
+    return [name for name in sys.modules if name == HERE or name.partition(".")[0] == "cv2"]
+
+
+@pytest.fixture
+def imported_again() -> Iterator[Any]:
+    """Function that imports our module as if nothing had imported it or OpenCV."""
+    before = {name: sys.modules.pop(name) for name in _modules()}
+    yield lambda: importlib.import_module(HERE)
+    for name in _modules():
+        del sys.modules[name]
+    sys.modules.update(before)
+
+
+def test_one_distribution_is_no_collision(present: set[str]) -> None:
+    assert machine.opencv_collision() is None
+    present.add("opencv-python")
+    assert machine.opencv_collision() is None
+    assert machine.opencv_remedy() == (f"pip uninstall -y opencv-python && pip install {OURS}")
+
+
+def test_doctor_says_what_to_do_where_two_collide(
+    present: set[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    present.update({"opencv-python", OURS})
+    assert main(["doctor"]) == 0
+    (line,) = (x for x in capsys.readouterr().out.splitlines() if x.startswith("OpenCV: "))
+    assert line == (
+        f"OpenCV: opencv-python and {OURS} overwrite each other's files; keep one: "
+        f"pip uninstall -y opencv-python {OURS} && pip install {OURS}"
+    )
+
+
+def test_what_is_left_of_two_is_noticed(
+    present: set[str], imported_again: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    present.add("opencv-python")
+    (tmp_path / "cv2").mkdir()  # as `pip uninstall` of one of them may leave it
+    (tmp_path / "cv2" / "data.py").touch()
+    monkeypatch.setattr(sys, "path", [str(tmp_path)])
+    importlib.invalidate_caches()
+    with pytest.raises(DependencyError, match="in part only .*: pip uninstall -y opencv-python &&"):
+        imported_again()
+
+
+def test_a_missing_library_of_the_system_is_named(
+    present: set[str], imported_again: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "cv2.py").write_text("raise ImportError('libGL.so.1: cannot open')")
+    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
+    importlib.invalidate_caches()
+    with pytest.raises(DependencyError, match=rf"\(libGL.so.1: cannot open\): pip install {OURS}"):
+        imported_again()
+
+
+# -- without matplotlib, which is an extra, everything but figures works ---------------------------
+
+
+NAMES = r"pip install matplotlib \(or .* its extra plot: pip install 'fide-plugins\[plot\]'\)"
+SCENE = """
+import numpy as np
+from fide_plugins import Float, Space
+space = Space(gray=Float(0, 1))
+def render(p):
+    return np.full((8, 8), p["gray"])
+"""
+
+
+def draw(p: dict[str, float]) -> np.ndarray:
+    return np.full((8, 8), p["gray"])
+
+
+@pytest.fixture
+def plain_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As after `pip install fide-plugins`."""
+    for name in [*sys.modules, "matplotlib", "matplotlib.figure"]:
+        if name.partition(".")[0] == "matplotlib":
+            monkeypatch.setitem(sys.modules, name, None)
+    for name in ("result_figure", "pairs_figure"):
+        monkeypatch.delitem(sys.modules, f"fide_plugins.recording.{name}", raising=False)
+
+
+@pytest.mark.figures
+@pytest.mark.usefixtures("plain_install")
+def test_a_fit_writes_all_but_its_figure(tmp_path: Path) -> None:
+    with pytest.warns(RuntimeWarning, match=f"summary.png is left out: .* {NAMES}"):
+        result = fit(draw, np.full((8, 8), 0.4), Space(gray=Float(0, 1)), budget=20, workers=0,
+                     out=tmp_path / "run")  # fmt: skip
+    files = {path.name for path in (tmp_path / "run").iterdir()}
+    assert {"best.png", "target.png", "curve.csv", "run.json"} <= files
+    assert "summary.png" not in files
+    assert "losses" not in result._repr_html_() and "gray" in result._repr_html_()
+    for name in ("plot", "plot_pairs"):
+        with pytest.raises(DependencyError, match=NAMES):
+            getattr(result, name)()
+    with pytest.raises(DependencyError, match=NAMES):
+        new_figure(1, 1)
+
+
+@pytest.mark.figures
+@pytest.mark.filterwarnings("default")
+@pytest.mark.usefixtures("plain_install")
+def test_commands_say_what_is_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("plain_scene.py").write_text(SCENE)
+    from fide_plugins.validation.images import save
+
+    save("target.png", np.full((8, 8), 0.4, np.float32))
+    words = "fit target.png --renderer plain_scene.py:render --workers 0 --budget 20 --out run"
+    assert main(words.split()) == 0
+    told = capsys.readouterr()
+    assert "summary.png is left out: figures need matplotlib" in told.err
+    assert "look at run/best.png" in told.out
+    assert main(["check", "plain_scene.py:render", "--workers", "1", "--out", "check"]) == 0
+    told = capsys.readouterr()
+    assert "check.png is left out" in told.err and "look at" not in told.out
+    assert main(["solutions", "run"]) == 0
+    assert "solutions.png is left out" in capsys.readouterr().err
+    assert main(["solutions", "run", "-o", "answers.png"]) == 2
+    assert "extra plot" in capsys.readouterr().err
+
+
+def test_a_fit_without_files_loads_no_matplotlib() -> None:
+    code = (
+        "import sys, numpy as np\n"
+        "from fide_plugins import fit, Space, Float\n"
+        "fit(lambda p: np.full((8, 8), p['g']), np.full((8, 8), 0.4), Space(g=Float(0, 1)),\n"
+        "    budget=20, workers=0)\n"
+        "assert 'matplotlib' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -58,11 +58,6 @@ def test_near_is_the_closest_of_all_images(x: Float64, mean: Float64) -> None:
     assert (distance <= 1.0 + 1e-12).all()
 
 
-@given(inside, hnp.arrays(np.float64, 3, elements=st.floats(1e-9, 1 - 1e-9)))
-def test_from_inside_the_cube_the_point_itself_is_nearest(x: Float64, mean: Float64) -> None:
-    np.testing.assert_array_equal(mixed.closest(x, mean), x)
-
-
 def test_samples_near_a_wall_keep_their_covariance() -> None:
     """What the distribution learns from is z, half of which lies beyond the wall."""
     rng = np.random.default_rng(0)
@@ -91,16 +86,3 @@ def test_near_takes_the_nearest_turn(x: Float64, mean: Float64) -> None:
     assert (np.abs(z - mean)[:, [0, 2]] <= 0.5 + 1e-12).all()
     difference = np.abs(mixed.into(z, turning) - x)
     np.testing.assert_allclose(np.minimum(difference, 1 - difference)[:, [0, 2]], 0, atol=1e-12)
-
-
-@given(anywhere, means)
-def test_without_periodic_coordinates_nothing_changes(z: Float64, mean: Float64) -> None:
-    none = np.zeros(3, bool)
-    x = mixed.into(z)
-    np.testing.assert_array_equal(mixed.into(z, none), x)
-    np.testing.assert_array_equal(mixed.closest(x, mean, none), mixed.closest(x, mean))
-
-
-@given(inside)
-def test_inside_the_cube_a_turn_changes_nothing(x: Float64) -> None:
-    np.testing.assert_array_equal(mixed.into(x, turning), x)

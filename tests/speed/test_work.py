@@ -21,7 +21,7 @@ from torch.nn.attention import SDPBackend, sdpa_kernel
 from torch.utils.flop_counter import FlopCounterMode
 
 import fide_tasks
-from fide_plugins import asking, fide
+from fide_plugins import fide
 from fide_plugins.fide import FIDE
 from fide_plugins.population.candidate import columns
 from fide_plugins.proposers.diffusion import DiffusionProposer
@@ -120,7 +120,6 @@ def test_tokens_that_nothing_judges_early_are_stacked_once(
         return columns(samples)
 
     monkeypatch.setattr(fide, "columns", counted)
-    monkeypatch.setattr(asking, "columns", counted)
     task = fide_tasks.make("voronoi", size=56, seed=0)
     opt = FIDE(task.dim, task.target, popsize=6, seed=0, device="cpu", **options)
     while opt.evaluations < 36:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import fide_tasks
-from fide_tasks import arm, limbs, stick_figure
+from fide_tasks import arm, generated, stick_figure
 
 # -- limbs -----------------------------------------------------------------------------------------
 
@@ -15,7 +15,7 @@ from fide_tasks import arm, limbs, stick_figure
 def test_a_limb_covers_what_is_nearer_than_its_radius(ra: float, rb: float) -> None:
     frame = np.zeros((40, 50, 3), np.float32)
     a, b = np.array([12.3, 9.8]), np.array([33.1, 27.4])
-    limbs.paint_limb(frame, a.tolist(), b.tolist(), ra, rb, np.ones(3, np.float32))
+    generated.paint_limb(frame, a.tolist(), b.tolist(), ra, rb, np.ones(3, np.float32))
     y, x = np.indices((40, 50)) + 0.5
     p = np.stack([x, y], axis=2)
     t = np.clip((p - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)
@@ -29,12 +29,12 @@ def test_a_limb_covers_what_is_nearer_than_its_radius(ra: float, rb: float) -> N
 def test_limbs_outside_the_image_are_cut(end: tuple[float, float]) -> None:
     large, small = np.zeros((160, 160, 3), np.float32), np.zeros((40, 50, 3), np.float32)
     start, white = (10.0, 12.0), np.ones(3, np.float32)
-    limbs.paint_limb(small, start, end, 3.0, 4.0, white)
+    generated.paint_limb(small, start, end, 3.0, 4.0, white)
     moved, moved_end = ((x + 50, y + 50) for x, y in (start, end))
-    limbs.paint_limb(large, moved, moved_end, 3.0, 4.0, white)
+    generated.paint_limb(large, moved, moved_end, 3.0, 4.0, white)
     np.testing.assert_allclose(small, large[50:90, 50:100], atol=1e-5)
     before = small.copy()
-    limbs.paint_limb(small, (-20.0, 0.0), (-20.0, 40.0), 3.0, 4.0, white)
+    generated.paint_limb(small, (-20.0, 0.0), (-20.0, 40.0), 3.0, 4.0, white)
     np.testing.assert_array_equal(small, before)
 
 

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 import fide_tasks
-from fide_tasks import panda, robot_poses
+from fide_tasks import panda
 from fide_tasks.robot import Robot
 
 pytestmark = pytest.mark.usefixtures("opengl")
@@ -112,17 +112,17 @@ def test_targets_are_seen_whole_and_over_the_floor(task: Robot) -> None:
 def test_poses_that_are_not_possible_are_no_targets(
     angles: tuple[float, ...], why: str | None
 ) -> None:
-    links = robot_poses._links(np.array(angles))
-    assert robot_poses._is_free(links) == (why is None)
+    links = panda._links(np.array(angles))
+    assert panda._is_free(links) == (why is None)
 
 
 def test_poses_that_are_badly_seen_are_no_targets() -> None:
-    toward = np.radians(robot_poses.AZIMUTH) - np.pi  # the arm points at the camera
+    toward = np.radians(panda.AZIMUTH) - np.pi  # the arm points at the camera
     level = np.array([toward, 1.0, 0, -0.9, 0, 1.6, 0.8])
     aside = level + np.eye(7)[0] * np.pi / 2
-    assert robot_poses._is_free(robot_poses._links(level))
-    assert not robot_poses.is_good(level)
-    assert robot_poses.is_good(aside)
+    assert panda._is_free(panda._links(level))
+    assert not panda.is_good(level)
+    assert panda.is_good(aside)
 
 
 def test_samples_soften_edges_and_shadows_darken_the_floor(task: Robot) -> None:

@@ -10,8 +10,7 @@ from scipy.interpolate import BSpline
 from scipy.spatial import KDTree
 
 import fide_tasks
-from fide_tasks.glyphs import FACES, ampersand
-from fide_tasks.spline import Spline, _basis
+from fide_tasks.spline import FACES, Spline, _basis, ampersand
 
 Array = NDArray[np.float64]
 HOLES = {  # the counters of each ampersand: the upper loop is open in the DejaVu family

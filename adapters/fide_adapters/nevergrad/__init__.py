@@ -25,8 +25,7 @@ except ImportError as error:
     raise missing("nevergrad", "fide_adapters.nevergrad needs Nevergrad") from error
 
 from fide_adapters.image_loss import ImageLoss, ImageRef
-from fide_adapters.nevergrad.executors import DaskExecutor
-from fide_adapters.nevergrad.optimizer import IMAGE, NoImagesWarning, ParametrizedFIDE
+from fide_adapters.nevergrad.optimizer import IMAGE, DaskExecutor, NoImagesWarning, ParametrizedFIDE
 
 __all__ = [
     "FIDE",

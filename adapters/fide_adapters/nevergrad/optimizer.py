@@ -40,9 +40,8 @@ from nevergrad.optimization import base
 
 from fide_adapters.image_loss import Result, read_result
 from fide_adapters.nevergrad.parametrization import Cube, initial_candidate
-from fide_adapters.nevergrad.search import Evaluation, Search
-from fide_adapters.nevergrad.settings import check_options, target_setting
-from fide_plugins.errors import ImageError
+from fide_adapters.nevergrad.search import Evaluation, Search, check_options, target_setting
+from fide_plugins.errors import ImageError, ProtocolError
 from fide_plugins.options import make_options
 from fide_plugins.runtime.messages import warn_user
 from fide_plugins.types import Float64
@@ -52,11 +51,12 @@ from fide_plugins.views import Views
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
 
-__all__ = ["IMAGE", "NoImagesWarning", "Optimizer", "ParametrizedFIDE"]
+__all__ = ["IMAGE", "DaskExecutor", "NoImagesWarning", "Optimizer", "ParametrizedFIDE"]
 
 IMAGE = "fide:image"
 """Key of ``candidate._meta`` for an image that goes through a portfolio."""
 
+_FORMAT = 2  # of dumps
 _FAILED = 5.0e20  # what Nevergrad makes of NaN and infinity
 
 
@@ -84,8 +84,6 @@ def _without_image(candidate: Any) -> Any:
 
 class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
     """FIDE for one parametrization; made by `ParametrizedFIDE`."""
-
-    _asked_key = "fide:asked"  # of an optimizer that an earlier version dumped
 
     def __init__(
         self,
@@ -308,6 +306,7 @@ class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
         jobs = [candidate for candidate, _ in [*self._finished_jobs, *self._running_jobs]]
         return {
             **self.__dict__,
+            "_format": _FORMAT,
             "_num_ask": self._num_ask - len(jobs),
             "_repeated": deque(_without_image(one) for one in [*self._repeated, *jobs]),
             "_running_jobs": [],
@@ -316,6 +315,14 @@ class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
             "_evaluation": None,
             "_failed_job": None,
         }
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        if state.get("_format") != _FORMAT:
+            raise ProtocolError(
+                "this optimizer was dumped by another version of fide-plugins, which alone reads "
+                "it; load it with that one, or make a new optimizer and tell it the known results"
+            )
+        self.__dict__.update(state)
 
 
 class ParametrizedFIDE(base.ConfiguredOptimizer):  # type: ignore[misc]  # Nevergrad has no types
@@ -381,3 +388,24 @@ class ParametrizedFIDE(base.ConfiguredOptimizer):  # type: ignore[misc]  # Never
             "options": None if options is None else dict(options),
         }
         super().__init__(Optimizer, settings, as_config=True)
+
+
+class DaskExecutor:
+    """A Dask client as an executor, for parameters of any name and for noisy renderers.
+
+    ``Client.submit`` itself uses some argument names: ``key``, ``workers``, ``retries`` and others
+    never reach the objective.  It also returns an earlier result for a call with equal arguments.
+
+    client: a `distributed.Client`.
+    """
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+
+    def submit(self, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
+        """Future of ``function(*args, **kwargs)``; the function is called each time."""
+        return self._client.submit(_call, function, args, kwargs, pure=False)
+
+
+def _call(function: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
+    return function(*args, **kwargs)

@@ -1,4 +1,4 @@
-"""The FIDE inside a Nevergrad optimizer: made late, and dumped without images.
+"""The settings of a Nevergrad optimizer, and its FIDE: made late, and dumped without images.
 
 Nevergrad makes many optimizers only to inspect them, lets users seed an optimizer after it was
 made, and dumps optimizers by pickling.  So FIDE is made, and PyTorch imported, with the first
@@ -7,6 +7,7 @@ candidate; and a dump holds FIDE's state as arrays, without images, encoder and 
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Mapping
 from numbers import Real
@@ -16,19 +17,74 @@ import numpy as np
 
 from fide_adapters.image_loss import ImageReader, Result
 from fide_adapters.nevergrad.parametrization import Cube
-from fide_plugins.errors import ImageError, LossError, ProtocolError
+from fide_plugins.errors import ImageError, LossError, OptionError, ProtocolError
 from fide_plugins.types import Float32, Float64
+from fide_plugins.validation.options import check_names
 from fide_plugins.views import Views
+from fide_plugins.views.views import views_of
 
 if TYPE_CHECKING:
     from torch import Tensor
 
     from fide_plugins.fide import FIDE
 
-__all__ = ["Evaluation", "Search"]
+__all__ = ["Evaluation", "Search", "TargetImage", "check_options", "target_setting"]
 
 _NO_TARGET = np.zeros((1, 1, 3), np.float32)  # no image is compared with it
 _MOST_OBJECTIVES = 15  # as benchmarks have them; the time of a hypervolume grows exponentially
+_ARGUMENTS = (
+    *("target", "mask", "weights", "value_range"),
+    *("loss", "preset", "encoder", "popsize", "device", "seed"),
+)
+
+
+class TargetImage:
+    """A target as a setting: comparable, and with a short name.
+
+    image, mask, weights, value_range: anything that `fide_plugins.FIDE` takes.
+    views: what they are; its arrays are read-only.
+    """
+
+    def __init__(
+        self,
+        image: object,
+        mask: object = None,
+        weights: object = None,
+        value_range: object = None,
+    ) -> None:
+        self.views = Views.read(image, mask, weights, value_range)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, TargetImage) and repr(self) == repr(other)
+
+    def __hash__(self) -> int:
+        return hash(repr(self))
+
+    def __repr__(self) -> str:
+        views = self.views
+        content = views.target.tobytes() + views.version.encode()
+        content += b"" if views.values is None else repr(views.values).encode()
+        return f"<{views.sizes} {hashlib.sha256(content).hexdigest()[:16]}>"
+
+
+def check_options(options: object) -> None:
+    """Raise OptionError for what is no mapping, or names what has another place."""
+    if options is not None and not isinstance(options, Mapping):
+        raise OptionError(f"options must be a dictionary of options by name, not {options!r}")
+    instead = "is an argument of its own: give it as one, not in options"
+    check_names(options or {}, _ARGUMENTS, instead)
+    instead = "is a property of the parametrization: set its init and its sigma"
+    check_names(options or {}, ("x0", "sigma0"), instead)
+
+
+def target_setting(
+    target: object, mask: object, weights: object, value_range: object
+) -> TargetImage | None:
+    """The setting `target` with its mask, weights and range of values; raises ImageError."""
+    if isinstance(target, TargetImage) and mask is None and weights is None and value_range is None:
+        return target
+    views = views_of(target, mask, weights, value_range)
+    return None if views is None else TargetImage(views)
 
 
 class Evaluation(NamedTuple):
@@ -164,7 +220,7 @@ class Search:
             return Evaluation(result.loss)
         batch, loss = self._read(result.image), result.loss
         if loss is None:
-            loss = float(self.fide.evaluator.loss.compute(batch)[0])
+            loss = float(self.fide.evaluator.evaluate(1, batch, encode=False).losses[0])
         return Evaluation(loss, batch)
 
     def _check_features(self, result: Result) -> Tensor:

@@ -1,31 +1,26 @@
-"""The sampler, and objectives that return images."""
+"""The sampler, objectives that return images, and what a sampler refuses and warns of."""
 
 from __future__ import annotations
 
+import math
 import threading
+import zlib
 from collections.abc import Callable, Mapping, Sequence
+from inspect import currentframe
+from types import FrameType
 from typing import Any
 
+import numpy as np
 from optuna.distributions import BaseDistribution
-from optuna.samplers import BaseSampler
+from optuna.samplers import BaseSampler, RandomSampler
 from optuna.storages import BaseStorage
-from optuna.study import Study
-from optuna.trial import FrozenTrial, Trial, TrialState
+from optuna.study import Study, StudyDirection
+from optuna.trial import FixedTrial, FrozenTrial, Trial, TrialState
 from torch import Tensor
 
-from fide_adapters.image_loss import read_result
-from fide_adapters.optuna.artifacts import ImageArtifacts
-from fide_adapters.optuna.checks import (
-    as_constraints,
-    check_function,
-    refuse_several_objectives,
-    running_trial,
-    warn_of_bare_image,
-    warn_of_space,
-)
-from fide_adapters.optuna.features import ImageEvaluator
-from fide_adapters.optuna.independent import NumberedSampler
-from fide_adapters.optuna.settings import OptimizerSettings, Settings, check_sampler, check_space
+from fide_adapters.image_loss import is_image, read_result
+from fide_adapters.optuna.images import ImageEvaluator
+from fide_adapters.optuna.settings import Settings, check_sampler, check_space
 from fide_adapters.optuna.storage import (
     GUESS,
     IMAGE,
@@ -39,7 +34,7 @@ from fide_adapters.optuna.study import StudyState, StudyStates
 from fide_adapters.optuna.trials import CONSTRAINTS
 from fide_plugins.errors import ImageError, OptionError, ProtocolError
 from fide_plugins.losses.base import as_losses
-from fide_plugins.validation.points import new_seed, whole_number
+from fide_plugins.validation.points import whole_number
 from fide_plugins.views.views import views_of
 
 __all__ = ["FIDESampler", "image_objective"]
@@ -111,24 +106,21 @@ class FIDESampler(BaseSampler):
         artifact_store: Any = None,
         **options: Any,
     ) -> None:
-        image = views_of(target, mask, weights, value_range)
-        given = {"encoder": encoder, "popsize": popsize, **options}
-        optimizer = OptimizerSettings(image, loss, preset, sigma0, device, given)
-        if image is None and (loss is not None or artifact_store is not None):
-            raise OptionError("a loss of images and an artifact store need a target: set target=")
-        warnings = WarnOnce()
         self._settings = Settings(
-            optimizer,
-            None if seed is None else new_seed(seed),
-            None if image is None else ImageEvaluator(optimizer.make_evaluator),
-            None if artifact_store is None else ImageArtifacts(artifact_store, warnings),
-            consider_pruned_trials,
-            warnings,
+            views_of(target, mask, weights, value_range),
+            loss,
+            preset,
+            sigma0,
+            device,
+            {"encoder": encoder, "popsize": popsize, **options},
+            seed=seed,
+            artifact_store=artifact_store,
+            consider_pruned=consider_pruned_trials,
         )
-        self._constraints_func = check_function("constraints_func", constraints_func)
+        self._constraints_func = _check_function("constraints_func", constraints_func)
         self._search_space = check_space(search_space)
         self._n_startup_trials = whole_number("n_startup_trials", n_startup_trials, 0)
-        self._independent_sampler = check_sampler(independent_sampler) or NumberedSampler(seed)
+        self._independent_sampler = check_sampler(independent_sampler) or _NumberedSampler(seed)
         self._reseeded = False
         self._states = StudyStates(self._settings)
         self._lock = threading.RLock()
@@ -159,7 +151,7 @@ class FIDESampler(BaseSampler):
         if loss is not None and self._settings.images is None:
             return self._loss_alone(trial, loss)
         images = self._images()
-        running, batch = running_trial(trial, loss is None), images.read(image)
+        running, batch = _running_trial(trial, loss is None), images.read(image)
         value = images.loss(batch) if loss is None else float(as_losses([loss], 1)[0])
         if running is not None:
             self._record(running.study, running.storage, running, images.tokens(batch))
@@ -183,7 +175,7 @@ class FIDESampler(BaseSampler):
         """
         if self._settings.images is None:
             return self._loss_alone(trial, loss)
-        tokens, running = self._images().check(features, version), running_trial(trial, False)
+        tokens, running = self._images().check(features, version), _running_trial(trial, False)
         value = float(as_losses([loss], 1)[0])
         if running is not None:
             self._record(running.study, running.storage, running, tokens)
@@ -203,7 +195,7 @@ class FIDESampler(BaseSampler):
 
     def _loss_alone(self, trial: Any, loss: float) -> float:
         """The loss of a trial whose image means nothing, since there is no target."""
-        running_trial(trial, False)
+        _running_trial(trial, False)
         value = float(as_losses([loss], 1)[0])
         self._settings.warnings.warn(
             "no target",
@@ -238,7 +230,7 @@ class FIDESampler(BaseSampler):
         self, study: Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
     ) -> dict[str, Any]:
         """Return the next candidate, and record in the trial which one it is."""
-        refuse_several_objectives(study)
+        _refuse_several_objectives(study)
         if self._settings.images is None:
             self._settings.warnings.log("target", "FIDESampler without a target is CMA-ES")
         if not search_space:
@@ -254,8 +246,8 @@ class FIDESampler(BaseSampler):
         param_distribution: BaseDistribution,
     ) -> Any:
         """Return a value of the independent sampler, or of the first candidate in trial 0."""
-        refuse_several_objectives(study)
-        own = isinstance(self._independent_sampler, NumberedSampler) and not self._reseeded
+        _refuse_several_objectives(study)
+        own = isinstance(self._independent_sampler, _NumberedSampler) and not self._reseeded
         if trial.number == 0 and own and not self._n_startup_trials:
             with self._lock:
                 state = self._state_of(study)
@@ -281,15 +273,15 @@ class FIDESampler(BaseSampler):
         """Record constraints, and the features of an image that is in the artifact store."""
         self._independent_sampler.after_trial(study, trial, state, values)
         if self._constraints_func is not None and state is not TrialState.FAIL:
-            violations = as_constraints(self._constraints_func(trial))
+            violations = _as_constraints(self._constraints_func(trial))
             write_attribute(storage_of(study), trial, CONSTRAINTS, violations)
         if self._search_space is not None and state is TrialState.COMPLETE:
-            warn_of_space(self._search_space, trial, self._settings.warnings)
+            _warn_of_space(self._search_space, trial, self._settings.warnings)
         with self._lock:
             known = self._state_of(study)
             if state is TrialState.FAIL:
                 known.features.pop(trial.number, None)
-                warn_of_bare_image(self._settings.warnings)
+                _warn_of_bare_image(self._settings.warnings)
                 return
             tokens = None if IMAGE in trial.system_attrs else known.from_artifact(study, trial)
             if tokens is not None:
@@ -333,8 +325,6 @@ class FIDESampler(BaseSampler):
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._lock = threading.RLock()
-        if "_states" not in state:  # of an earlier version; the study is read again
-            self._states = StudyStates(self._settings)
 
 
 def image_objective(
@@ -373,3 +363,137 @@ def _sampler_of(trial: Trial) -> FIDESampler:
             "image_objective(function, sampler)"
         )
     return sampler
+
+
+class _NumberedSampler(RandomSampler):
+    """Uniform parameters from (seed, number of the trial, name of the parameter).
+
+    With a plain `RandomSampler` all workers of equal seed would begin with the same parameters.
+    """
+
+    def __init__(self, seed: int | None = None) -> None:
+        super().__init__()  # whose generator is not used, and takes no seed beyond 32 bits
+        self._entropy = np.random.SeedSequence(seed).entropy
+
+    def reseed_rng(self) -> None:
+        """Continue with a seed from the operating system."""
+        super().reseed_rng()
+        self._entropy = np.random.SeedSequence().entropy
+
+    def sample_independent(
+        self,
+        study: Study,
+        trial: FrozenTrial,
+        param_name: str,
+        param_distribution: BaseDistribution,
+    ) -> Any:
+        """Uniform value, equal for equal trial number and name."""
+        key = (trial.number, zlib.crc32(param_name.encode()))
+        seeds = np.random.SeedSequence(self._entropy, spawn_key=key).generate_state(1)
+        once = RandomSampler(int(seeds[0]))
+        return once.sample_independent(study, trial, param_name, param_distribution)
+
+
+# -- what is refused, and warned of ----------------------------------------------------------------
+
+
+def _check_function(name: str, function: Any) -> Any:
+    """Return a function, or None; raises OptionError (a ValueError) for anything else."""
+    if function is not None and not callable(function):
+        raise OptionError(f"{name} must be a function of a trial, not {function!r}")
+    return function
+
+
+def _as_constraints(values: Any) -> list[float]:
+    """What a `constraints_func` has returned, as it is stored; raises OptionError."""
+    try:
+        numbers = [float(value) for value in values]
+    except (TypeError, ValueError):
+        numbers = [math.nan]
+    if any(map(math.isnan, numbers)):
+        raise OptionError(
+            "constraints_func must return a list of numbers, <= 0 where nothing is violated, not "
+            f"{values!r}"
+        )
+    return numbers
+
+
+def _warn_of_bare_image(warnings: WarnOnce) -> None:
+    """Warn if the objective of a trial that fails now has returned an image.
+
+    That is an array of two or more axes, alone or in a pair (loss, image); Optuna itself reports
+    anything else.  Optuna tells a sampler that a trial failed, but not with which value.  The value
+    is a local variable of the function of Optuna that calls the sampler; nothing is said where it
+    is not found.  An error would be lost: Optuna replaces those of a trial that has failed.
+    """
+    frame: FrameType | None = currentframe()
+    while frame is not None and frame.f_code.co_name != "_tell_with_warning":
+        frame = frame.f_back
+    value: Any = None if frame is None else frame.f_locals.get("value_or_values")
+    pair = isinstance(value, tuple) and len(value) == 2
+    image = value[1] if pair else value
+    if not (is_image(image) and hasattr(image, "ndim")):
+        return
+    what = "a pair (loss, image), the image" if pair else "an image,"
+    warnings.warn(
+        "bare image",
+        f"the objective returned {what} a {type(image).__name__} of shape {tuple(image.shape)}, "
+        "where Optuna takes a loss, so its trials fail; wrap it: "
+        "study.optimize(image_objective(objective)), with image_objective of "
+        "fide_adapters.optuna, or return sampler.tell_image(trial, image)",
+    )
+
+
+def _refuse_several_objectives(study: Study) -> None:
+    """Raise OptionError, a ValueError, if the study has more than one objective."""
+    if len(study.directions) > 1:
+        raise OptionError(
+            f"FIDESampler cannot be used in a study of {len(study.directions)} objectives: an "
+            "image has one loss; create the study with one direction"
+        )
+
+
+def _running_trial(trial: object, own_loss: bool) -> Trial | None:
+    """Trial of an objective, to record an image in; None for one in which nothing is recorded.
+
+    own_loss: whether the loss is the sampler's own, which must be minimized.
+
+    Raises OptionError, a ValueError, if the study has several objectives, and ProtocolError for
+    whatever is no trial, or maximizes the sampler's own loss.
+    """
+    if isinstance(trial, FrozenTrial | FixedTrial):
+        return None
+    if not isinstance(trial, Trial):
+        raise ProtocolError(
+            "the image is recorded in the optuna.Trial that the objective is given or study.ask "
+            f"returns, not in an object of type {type(trial).__name__}; give that trial itself, "
+            "also where another object wraps it"
+        )
+    _refuse_several_objectives(trial.study)
+    if own_loss and trial.study.direction is StudyDirection.MAXIMIZE:
+        raise ProtocolError(
+            "the sampler's own loss must be minimized, but the study maximizes; give a loss, "
+            "or create the study with direction='minimize'"
+        )
+    return trial
+
+
+def _warn_of_space(
+    space: Mapping[str, BaseDistribution], trial: FrozenTrial, warnings: WarnOnce
+) -> None:
+    """Warn of a completed trial that does not have the parameters of `space` as they are there."""
+    missing = space.keys() - trial.params.keys()
+    if missing:
+        warnings.warn(
+            "search_space",
+            f"trial {trial.number} has no {', '.join(sorted(missing))}, which search_space "
+            "names, so it is left out; name only parameters that every trial has",
+        )
+    for name in space.keys() - missing:
+        given, own = space[name], trial.distributions[name]
+        if given != own:
+            warnings.warn(
+                "distribution",
+                f"the objective suggests {name!r} from {own}, but search_space has {given}: the "
+                "search goes by search_space and covers only what is in both; make them equal",
+            )

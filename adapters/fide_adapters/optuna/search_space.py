@@ -93,21 +93,24 @@ class _Parameter:
             return cls(d, Int(0, steps), d.low, d.step)
         return cls(d, Float(0, steps), d.low, d.step)
 
+    @property
+    def is_plain(self) -> bool:
+        """Whether values are numbers."""
+        return not isinstance(self.distribution, CategoricalDistribution) and not (
+            self.distribution.step
+        )
+
     def value(self, number: float) -> Any:
         """Value of a number, native."""
         d = self.distribution
         if isinstance(d, CategoricalDistribution):
             return d.choices[int(number)]
-        if d.step is None:
-            return number
         return min(max(self.origin + self.step * round(number), d.low), d.high)
 
     def number(self, value: Any) -> float:
         """Number of a value within the range."""
         if isinstance(self.distribution, CategoricalDistribution):
             return self.distribution.to_internal_repr(value)
-        if self.distribution.step is None:
-            return float(value)
         return float(round((value - self.origin) / self.step))
 
 
@@ -121,29 +124,36 @@ class SearchSpace:
     def __init__(self, distributions: Distributions) -> None:
         ordered = sorted(distributions, key=_by_name)
         self.distributions = {name: distributions[name] for name in ordered}
-        self._varied = {
-            name: _Parameter.of(name, d) for name, d in self.distributions.items() if not d.single()
-        }
-        kinds = {f"p{i}": one.kind for i, one in enumerate(self._varied.values())}
+        varied = {n: d for n, d in self.distributions.items() if not d.single()}
+        self._names = list(varied)
+        parameters = [_Parameter.of(name, d) for name, d in varied.items()]
+        self._converted = [(i, one) for i, one in enumerate(parameters) if not one.is_plain]
+        kinds = {f"p{i}": one.kind for i, one in enumerate(parameters)}
         self.space = Space(kinds) if kinds else None
         self.dim = 0 if self.space is None else self.space.dim
+        self._fixed = {n: _only(d) for n, d in self.distributions.items() if d.single()}
+        ranges = {n: d for n, d in self.distributions.items() if hasattr(d, "low")}
+        self._ranged = list(ranges)
+        self._low = np.array([d.low for d in ranges.values()], np.float64)
+        self._high = np.array([d.high for d in ranges.values()], np.float64)
+        self._choices = {n: d for n, d in self.distributions.items() if n not in ranges}
 
     def decode(self, x: Float64) -> dict[str, Any]:
         """Parameters of a point x (dim,), as native numbers and choices."""
         numbers = [] if self.space is None else self.space.layout.numbers(x[None])[0].tolist()
-        values = {
-            name: one.value(number)
-            for (name, one), number in zip(self._varied.items(), numbers, strict=True)
-        }
-        return {n: values[n] if n in values else _only(d) for n, d in self.distributions.items()}
+        for i, one in self._converted:
+            numbers[i] = one.value(numbers[i])
+        params = dict(zip(self._names, numbers, strict=True)) | self._fixed
+        return {name: params[name] for name in self.distributions} if self._fixed else params
 
     def encode(self, params: Mapping[str, Any]) -> Float64:
         """Point (dim,) of the parameters of a trial in this space."""
-        numbers = [one.number(params[name]) for name, one in self._varied.items()]
-        points = np.empty((1, 0))
-        if self.space is not None:
-            points = self.space.layout.points(np.array([numbers], np.float64))
-        point: Float64 = points[0]
+        numbers = [params[name] for name in self._names]
+        for i, one in self._converted:
+            numbers[i] = one.number(numbers[i])
+        if self.space is None:
+            return np.empty(0)
+        point: Float64 = self.space.layout.points(np.array([numbers], np.float64))[0]
         return point
 
     def snap(self, x: Float64) -> Float64:
@@ -158,25 +168,21 @@ class SearchSpace:
 
     def contains(self, params: Mapping[str, Any]) -> bool:
         """Whether each of these parameters has a value, within its range."""
-        own = self.distributions
-        return all(name in params and _is_within(params[name], d) for name, d in own.items())
+        if not all(name in params for name in self.distributions):
+            return False
+        try:
+            values = np.array([params[name] for name in self._ranged], np.float64)
+            for name, distribution in self._choices.items():
+                distribution.to_internal_repr(params[name])  # a NaN is a NaN
+        except (TypeError, ValueError):  # of an enqueued trial, which Optuna refuses
+            return False
+        return bool(((values >= self._low) & (values <= self._high)).all())
 
 
 def _only(distribution: Any) -> Any:
     """Value of a distribution that has only one."""
     choices = getattr(distribution, "choices", None)
     return choices[0] if choices else distribution.low
-
-
-def _is_within(value: Any, distribution: Any) -> bool:
-    """Whether a distribution has the value, or, of numbers, one beside it; a NaN is a NaN."""
-    try:
-        if isinstance(distribution, CategoricalDistribution):
-            distribution.to_internal_repr(value)
-            return True
-        return bool(distribution.low <= value <= distribution.high)
-    except (TypeError, ValueError):
-        return False
 
 
 class RelativeSpace:

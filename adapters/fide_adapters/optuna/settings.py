@@ -5,15 +5,14 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 from optuna.distributions import BaseDistribution, CategoricalDistribution, distribution_to_json
 from optuna.samplers import BaseSampler
 
-from fide_adapters.optuna.artifacts import ImageArtifacts
-from fide_adapters.optuna.features import ImageEvaluator
+from fide_adapters.optuna.images import ImageArtifacts, ImageEvaluator
 from fide_adapters.optuna.storage import WarnOnce
 from fide_plugins.errors import OptionError
 from fide_plugins.evaluation import Evaluator
@@ -22,10 +21,10 @@ from fide_plugins.options import make_options, without_images
 from fide_plugins.space import Space
 from fide_plugins.types import Float64
 from fide_plugins.validation.options import check_names
-from fide_plugins.validation.points import standard_deviation
+from fide_plugins.validation.points import new_seed, standard_deviation
 from fide_plugins.views import Views
 
-__all__ = ["OptimizerSettings", "Settings", "check_sampler", "check_space"]
+__all__ = ["Settings", "check_sampler", "check_space"]
 
 _NO_TARGET = np.zeros((16, 16, 3), np.float32)
 _ELSEWHERE = {  # arguments of FIDE and of other samplers that have another place here
@@ -62,111 +61,101 @@ def check_sampler(sampler: object) -> BaseSampler | None:
     raise OptionError(f"independent_sampler must be an Optuna sampler, not {sampler!r}")
 
 
-@dataclass(frozen=True)
-class OptimizerSettings:
-    """The settings of `FIDE` that do not depend on the search space.
+class Settings:
+    """The settings of a sampler; those of its optimizers are as for `FIDE`, which raises as well.
 
     target: targets and weights of the views; None: nothing is proposed, which leaves CMA-ES.
-    Others as for `FIDE`; they raise what `FIDE` raises.
-    """
-
-    target: Views | None
-    loss: str | Callable[..., object] | None
-    preset: str
-    sigma0: float
-    device: str
-    options: Mapping[str, Any]
-
-    def __post_init__(self) -> None:
-        for name, instead in _ELSEWHERE.items():
-            check_names(self.options, (name,), instead)
-        make_options(self.preset, self.options)
-        standard_deviation(self.sigma0)
-
-    def digest_of(self, space: Mapping[str, BaseDistribution]) -> str:
-        """Eight characters; optimizers of one problem with equal ones and seeds ask the same.
-
-        The problem has a digest of its own, see `features.ImageEvaluator.problem`: records of
-        earlier versions lack that one, and count.
-        """
-        options = asdict(make_options(self.preset, self.options))
-        described = {name: _described(space[name]) for name in space}
-        text = json.dumps([options, self.sigma0, self.target is None, described], sort_keys=True)
-        return hashlib.blake2b(text.encode(), digest_size=4).hexdigest()
-
-    def make_evaluator(self) -> Evaluator:
-        """Encoder and loss for the target, which must be given."""
-        made = make_options(self.preset, self.options)
-        return Evaluator(
-            self.target, self.loss, made.encoder, device=self.device, for_network=made.has_network
-        )
-
-    def make(
-        self,
-        space: Space,
-        seed: int,
-        images: ImageEvaluator | None = None,
-        guess: Float64 | None = None,
-    ) -> FIDE:
-        """Optimizer in a space, with the encoder and loss of `images` if given.
-
-        guess: (dim,), its first candidate, around which it begins.
-        """
-        # memory is for the next target, which there never is
-        options, loss = {"memory_mb": 0.0, **self.options}, self.loss
-        target: object = self.target
-        if target is None:
-            target = _NO_TARGET
-            options = without_images(options)
-        elif images is not None:
-            options["encoder"], loss = images.evaluator.encoder, images.evaluator.loss
-        return FIDE(
-            space,
-            target,
-            loss=loss,
-            seed=seed,
-            x0=guess,
-            sigma0=self.sigma0,
-            preset=self.preset,
-            device=self.device,
-            **options,
-        )
-
-
-@dataclass(frozen=True)
-class Settings:
-    """The settings of a sampler.
-
     seed: None: that of the study.
-    images: None without a target.
-    artifacts: None without an artifact store.
     consider_pruned: whether pruned trials count, with their last intermediate value.
     """
 
-    optimizer: OptimizerSettings
-    seed: int | None
-    images: ImageEvaluator | None
-    artifacts: ImageArtifacts | None
-    consider_pruned: bool
-    warnings: WarnOnce = field(default_factory=WarnOnce)
+    def __init__(
+        self,
+        target: Views | None,
+        loss: str | Callable[..., object] | None,
+        preset: str,
+        sigma0: float,
+        device: str,
+        options: Mapping[str, Any],
+        *,
+        seed: int | None,
+        artifact_store: Any,
+        consider_pruned: bool,
+    ) -> None:
+        for name, instead in _ELSEWHERE.items():
+            check_names(options, (name,), instead)
+        self._made = make_options(preset, options)
+        standard_deviation(sigma0)
+        if target is None and (loss is not None or artifact_store is not None):
+            raise OptionError("a loss of images and an artifact store need a target: set target=")
+        self.target, self._loss, self._options = target, loss, options
+        self._preset, self._sigma0, self._device = preset, sigma0, device
+        self.seed = None if seed is None else new_seed(seed)
+        self.consider_pruned = consider_pruned
+        self.warnings = WarnOnce()
+        self.images = None if target is None else ImageEvaluator(self._make_evaluator)
+        """None without a target."""
+        self.artifacts = None
+        """None without an artifact store."""
+        if artifact_store is not None:
+            self.artifacts = ImageArtifacts(artifact_store, self.warnings)
 
     @property
     def problem(self) -> str | None:
         """Digest of target and loss; None without a target."""
         return None if self.images is None else self.images.problem
 
-    def make_optimizer(self, space: Space, seed: int, guess: Float64 | None) -> FIDE:
-        """Optimizer in a space; all share one encoder and one loss."""
-        return self.optimizer.make(space, seed, self.images, guess)
+    def digest_of(self, space: Mapping[str, BaseDistribution]) -> str:
+        """Eight characters; optimizers of one problem with equal ones and seeds ask the same.
+
+        The problem has a digest of its own, see `images.ImageEvaluator.problem`: records of
+        earlier versions lack that one, and count.
+        """
+        described = {name: _described(space[name]) for name in space}
+        settings = [asdict(self._made), self._sigma0, self.target is None, described]
+        text = json.dumps(settings, sort_keys=True)
+        return hashlib.blake2b(text.encode(), digest_size=4).hexdigest()
+
+    def _make_evaluator(self) -> Evaluator:
+        made = self._made
+        return Evaluator(
+            self.target,
+            self._loss,
+            made.encoder,
+            device=self._device,
+            for_network=made.has_network,
+            **made.comparison,
+        )
+
+    def make(self, space: Space, seed: int, guess: Float64 | None = None, **changed: Any) -> FIDE:
+        """Optimizer in a space; all share one encoder and one loss.
+
+        guess: (dim,), its first candidate, around which it begins.
+        """
+        # memory is for the next target, which there never is
+        options, loss = {"memory_mb": 0.0, **self._options, **changed}, self._loss
+        target: object = self.target
+        if self.images is None:
+            target = _NO_TARGET
+            options = without_images(options)
+        else:
+            options["encoder"], loss = self.images.evaluator.encoder, self.images.evaluator.loss
+        return FIDE(
+            space,
+            target,
+            loss=loss,
+            seed=seed,
+            x0=guess,
+            sigma0=self._sigma0,
+            preset=self._preset,
+            device=self._device,
+            **options,
+        )
 
     def first_candidate(self, space: Space, seed: int) -> Float64:
         """First candidate (dim,) in a space."""
         # without groups, which are of the parameters of the study, and do not change this one
-        options = {
-            name: value for name, value in self.optimizer.options.items() if name != "groups"
-        }
-        made = replace(self.optimizer, options=options).make(space, seed, self.images)
-        first: Float64 = made.ask(1)[0]
+        first: Float64 = self.make(space, seed, groups=None).ask(1)[0]
         return first
 
 

@@ -5,7 +5,7 @@ System attributes, JSON, with a version:
 ================  ==================================================================================
 ``fide:ask``      of a trial, written when its parameters are drawn: which candidate it is, and
                   what was decided about other trials (see `trials`)
-``fide:image``    of a trial, written by `tell_image`: the features of its image (see `features`)
+``fide:image``    of a trial, written by `tell_image`: the features of its image (see `images`)
                   (both with a digest of target and loss: losses of another problem do not count)
 ``fide:guess``    of trial 0, if it was enqueued: a search of FIDE begins with it
 ``fide:seed``     of a study: the seed of samplers that were given none
@@ -84,7 +84,7 @@ class Ask:
     proposed: whether a proposer made the candidate.
     skipped: numbers of unfinished trials that nobody waits for from here on.
     late: numbers of skipped trials that have finished since; they count here.
-    problem: digest of target and loss, see `features.ImageEvaluator.problem`; None: not recorded.
+    problem: digest of target and loss, see `images.ImageEvaluator.problem`; None: not recorded.
     """
 
     optimizer: str

@@ -87,7 +87,6 @@ class TensorBoard:
             self._writer = None
 
     def _add_images(self, name: str, images: Float32 | list[Float32], step: int) -> None:
-        """Write one image, or one for each view."""
         several = images if isinstance(images, list) else [images]
         for i, image in enumerate(several):
             view = f"{name}/{i}" if len(several) > 1 else name

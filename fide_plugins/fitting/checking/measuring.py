@@ -169,10 +169,7 @@ class Difference:
 
 
 def image_of(returned: Any) -> Image:
-    """The image, or the list of views, that a renderer returned.
-
-    Raises ImageError for what no image is.
-    """
+    """The image, or the list of views, that a renderer returned."""
     if returned is None:
         raise ImageError("render returned None; let it return its image")
     several = isinstance(returned, list | tuple) and any(np.ndim(one) >= 2 for one in returned)
@@ -419,8 +416,6 @@ def check(
 
 
 class _Check:
-    """A check under way."""
-
     def __init__(
         self,
         renderer: Renderer,
@@ -435,13 +430,11 @@ class _Check:
         self._rng = np.random.default_rng(0)
 
     def close(self) -> None:
-        """Stop the workers."""
         self._pool.close()
 
     def execute(
         self, space: Space | int, workers: int | None, told: Callable[[int, float], None]
     ) -> None:
-        """All steps."""
         facts = self.facts
         bases = self._rng.random((_POINTS, facts.dim))
         if self._constraints is not None:
@@ -481,7 +474,6 @@ class _Check:
         return None
 
     def _take(self, workers: int | None) -> None:
-        """Render with so many workers from now on."""
         fast = self.facts.alone < FAST
         number = (1 if fast else default_number()) if workers is None else workers
         if number != self._pool.number:
@@ -586,7 +578,6 @@ class _Check:
 
 
 def _largest(images: list[Image | None]) -> Difference | None:
-    """Largest difference of two of them; None if there are no two."""
     found = [difference(a, b) for a, b in combinations(filter(None, images), 2)]
     return max(found, key=lambda one: one.rms, default=None)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Iterator
 from typing import Any, TypeAlias
@@ -10,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from fide_plugins.fitting.checking.measuring import FAST, Effect, Facts
-from fide_plugins.recording.figures import plain
+from fide_plugins.recording.figures import figure_as_png, plain
 from fide_plugins.renderers.naming import described, flat
 from fide_plugins.runtime.messages import counted
 from fide_plugins.runtime.plotting import new_figure
@@ -67,7 +66,6 @@ def duration(seconds: float) -> str:
 
 
 def _gain(facts: Facts) -> float:
-    """How many times as fast several workers are as one."""
     if facts.together is None or facts.together <= 0:
         return 1.0
     return facts.number * facts.alone / facts.together
@@ -169,7 +167,6 @@ def _of_parameter(one: Effect, facts: Facts) -> Iterator[str]:
 
 
 def _named(names: list[str]) -> str:
-    """Names in a sentence, at most eight."""
     shown = names[:8]
     more = f" and {len(names) - 8} more" if len(names) > 8 else ""
     if more or len(shown) == 1:
@@ -307,7 +304,6 @@ def _failures(facts: Facts) -> list[str]:
 
 
 def _details(details: str, params: str, reason: str) -> list[str]:
-    """Lines about a failure that are not said yet."""
     found = [line for line in details.splitlines() if line.strip() != reason]
     if not any(params in line for line in found):
         found = [f"with the parameters {params}", *found]
@@ -364,9 +360,7 @@ def figure(name: str, facts: Facts) -> bytes:
     for i, effect in enumerate(effects):
         corner = (i // rows * strip[0], _TOP + i % rows * strip[1])
         _strip(canvas, effect, facts, corner, (width, height), size)
-    buffer = io.BytesIO()
-    canvas.savefig(buffer, format="png", metadata={"Software": None})
-    return buffer.getvalue()
+    return figure_as_png(canvas)
 
 
 def _shown(facts: Facts) -> list[Effect]:
@@ -420,7 +414,6 @@ def _words(effect: Effect, facts: Facts) -> str:
 
 
 def _write(canvas: Any, x: float, y: float, text: str, size: Inches, **style: Any) -> None:
-    """Text at inches from the upper left corner."""
     canvas.text(x / size[0], 1 - y / size[1], text, va="baseline", **style)
 
 

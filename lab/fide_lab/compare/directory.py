@@ -93,11 +93,7 @@ class ComparisonDirectory:
             )
 
     def begin(self, command: list[str], workers: dict[str, Any]) -> None:
-        """Record a call of the command; workers: its processes and cores.
-
-        Raises RunDirectoryError (a FileExistsError) if another process has started a different
-        comparison here since the check.
-        """
+        """Record a call of the command; workers: its processes and cores."""
         self._write({"command": command, "started": now(), "finished": None, **workers})
         for task, target in self._targets.items():
             files.write_bytes(target_file(self.path, task, "png"), as_png(target.image))
@@ -125,7 +121,6 @@ class ComparisonDirectory:
             write_target(target_file(self.path, task), target)
 
     def _merged(self, there: dict[str, Any] | None, call: dict[str, Any]) -> dict[str, Any]:
-        """The record `there` with the runs of this plan; `call` replaces its last call."""
         there = there or {"format": FORMAT, "settings": {"targets": {}}, "cells": [], "calls": []}
         calls = [one for one in there["calls"] if one != self._call]
         runs = dict(runs_of(there)) | self._runs
@@ -141,10 +136,7 @@ class ComparisonDirectory:
 
 
 def read_record(path: Path) -> dict[str, Any] | None:
-    """Contents of `study.json` in the folder `path`; None if there is none.
-
-    Raises RunDirectoryError (a FileExistsError) if it is damaged or of another version.
-    """
+    """Contents of `study.json` in the folder `path`; None if there is none."""
     return read_json(path / "study.json", "comparison", _check_contents)
 
 
@@ -170,7 +162,6 @@ def _check_contents(record: dict[str, Any]) -> None:
 
 
 def _comparable(plan: Plan, settings: dict[RunKey, dict[str, Any]]) -> dict[str, Any]:
-    """Settings that all runs of a comparison have in common."""
     task_options: dict[str, Any] = {}
     for run in settings.values():
         task_options |= run["task_options"]
@@ -272,7 +263,6 @@ def warn_of_mixed(path: Path, finished: Iterable[tuple[RunKey, Mapping[str, Any]
 
 
 def _edited(folder: Path, sources: Mapping[str, str]) -> list[str]:
-    """References to files that have changed since the run in `folder` was finished."""
     try:
         run = read_run(folder)
     except (RunDirectoryError, OSError):  # it will be repeated, or reported as damaged
@@ -299,5 +289,4 @@ def _of_loss(key: RunKey) -> str:
 
 
 def _of_optimizer(key: RunKey) -> str:
-    """That of its configuration, whose options name the models."""
     return f"cells/*/*/{as_file_name(key.configuration)}"

@@ -76,13 +76,10 @@ def _stop(workers: Sequence[_Worker]) -> None:
 
 
 class _Worker:
-    """One process."""
-
     def __init__(self) -> None:
         self._pool, self._pid = _pool(), 0
 
     def submit(self, work: Callable[[Any], Any], item: Any) -> Future[Any]:
-        """Start `work` on an item; where no process starts, its future has the error."""
         try:
             return self._submit(work, item)
         except BrokenProcessPool:  # the process died while it was idle
@@ -99,18 +96,15 @@ class _Worker:
         return self._pool.submit(_busy, work, item)
 
     def restart(self) -> None:
-        """Replace the process after it died."""
         self._pool.shutdown(wait=False)
         self._pool, self._pid = _pool(), 0
 
     def signal(self, signum: int) -> None:
-        """Send a signal to the process."""
         if self._pid:
             with suppress(ProcessLookupError):
                 os.kill(self._pid, signum)
 
     def join(self) -> None:
-        """Wait until the process has ended."""
         self._pool.shutdown(wait=True, cancel_futures=True)
 
 
@@ -156,9 +150,6 @@ def on_dask(
     work: a function that can be pickled.
     out: a folder that every worker must see.
     lost: gives the result for an item that Dask gives up, from the item and the reason.
-
-    Raises DependencyError (an ImportError) without Dask, OptionError (a ValueError) if the cluster
-    cannot be used.
     """
     with connected(address) as client:
         from distributed import as_completed
@@ -174,7 +165,6 @@ def on_dask(
 
 
 def _check(client: Any, out: Path) -> None:
-    """Raise OptionError unless every worker sees the folder."""
     probe = out / f".probe.{secrets.token_hex(6)}.tmp"
     probe.touch()
     try:
@@ -202,8 +192,6 @@ def run(plan: Plan, out: str | os.PathLike[str], **settings: Any) -> list[Outcom
 
     settings: jobs (processes, at most one a core), dask (address of a scheduler, in their place),
         resume (whether `out` may hold runs of this plan) and command (a command line to record).
-
-    Raises OptionError (a ValueError), RunDirectoryError (a FileExistsError) or OSError.
     """
     return prepare(plan, out, **settings).execute()
 
@@ -223,8 +211,6 @@ def prepare(
     jobs: number of processes, at most one per core; 1 is this process.
     dask: address of a Dask scheduler, which replaces `jobs`.
     command: command line to record.
-
-    Raises what `Plan.check` and `ComparisonDirectory` raise, and OptionError (a ValueError).
     """
     whole_number("jobs", jobs, 1)
     if jobs > machine.cores():
@@ -319,7 +305,6 @@ def _work(
 
 
 def _note_lost(out: Path, item: Item, why: str = "the process that ran it died") -> Outcome:
-    """Outcome of a run whose process died."""
     folder = out / item[0].folder
     folder.mkdir(parents=True, exist_ok=True)  # it may have died before the run began
     files.write_text(folder / ERROR, why + "\n")

@@ -81,9 +81,6 @@ def examine(
     """State of the run in `folder`, whoever executes it.
 
     sources: fingerprints of the user's files now, see `Plan.sources`; None: as those of the run.
-
-    Raises RunDirectoryError (a FileExistsError), naming the setting that differs, if the folder
-    holds a run with other settings.
     """
     try:
         run = read_run(folder)
@@ -158,7 +155,6 @@ def run_one(
 
 
 def _prepare(plan: Plan, key: RunKey, out: Path, command: list[str] | None) -> tuple[Run, str]:
-    """The run, continued if possible; otherwise a new one, and the reason."""
     folder = out / key.folder
     configuration = plan.configuration(key.configuration)
     kept = read_target(target_file(out, key.task))

@@ -145,7 +145,7 @@ def prepare(
         _check_reloads(optimizer, searcher)
         may_change = () if rounds or _depends_on_budget(optimizer) else ("budget",)
         directory = RunDirectory(
-            out, settings, resume=resume, command=_words(command), may_change=may_change,
+            out, settings, resume=resume, command=command, may_change=may_change,
             sources=_sources(task, optimizer, options, searcher, [judge, *metrics.values()]),
         )  # fmt: skip
         kept = None if file is None else kept_of(task, target)
@@ -200,7 +200,6 @@ def _rounds(
     seed: int,
     out: str | os.PathLike[str] | None,
 ) -> Rounds | None:
-    """Rounds of learning before the search, which FIDE alone can have."""
     if optimizer != "fide":
         return None
     space = TaskInfo.of(task).search_space or task.dim
@@ -208,7 +207,6 @@ def _rounds(
 
 
 def _check_reloads(optimizer: str | Callable[..., AskTell], searcher: Optimizer) -> None:
-    """OptionError if the optimizer cannot be loaded again from a run directory."""
     if not isinstance(optimizer, str):
         raise OptionError(
             "a run with a directory needs its optimizer by name, to load it again; "
@@ -226,40 +224,28 @@ def _started(
     budget: int,
     kept: KeptTarget | None,
 ) -> tuple[Record, Optimizer]:
-    """As `_restored`, and the run is written down with what is kept; if refused, the lock ends."""
+    """Record and optimizer that the directory holds, or those given; the run is written down."""
+    name, device = directory.settings["optimizer"], directory.settings["options"].get("device")
     with ExitStack() as refused:
         refused.callback(directory.close)
-        record, searcher = _restored(directory, record, searcher, fidelity)
-        _check_budget(budget, record, directory)
+        saved = directory.restore(lambda path: optimizers.load(name, path, device=device))
+        if saved is not None:
+            dim, record = searcher.dim, saved[0]
+            searcher = complete(saved[1], dim, record.evaluations, record.best)
+            if searcher.dim != dim:
+                raise CheckpointError(
+                    f"{directory.path}: an optimizer of {searcher.dim} parameters"
+                )
+        if fidelity is not None and record.fidelity is not None:
+            fidelity.load_state_dict(record.fidelity)
+        if record.evaluations > budget:
+            raise OptionError(
+                f"the run in {directory.path} has {record.evaluations} renders already, and the "
+                f"budget is {budget}: give at least as many, or name another directory"
+            )
         directory.begin(kept)
         refused.pop_all()
     return record, searcher
-
-
-def _restored(
-    directory: RunDirectory, record: Record, searcher: Optimizer, fidelity: Fidelity | None
-) -> tuple[Record, Optimizer]:
-    """Record and optimizer that the directory holds; those given, where it holds none."""
-    name, device = directory.settings["optimizer"], directory.settings["options"].get("device")
-    saved = directory.restore(lambda path: optimizers.load(name, path, device=device))
-    if saved is not None:
-        dim = searcher.dim
-        record = saved[0]
-        searcher = complete(saved[1], dim, record.evaluations, record.best)
-        if searcher.dim != dim:
-            raise CheckpointError(f"{directory.path}: an optimizer of {searcher.dim} parameters")
-    if fidelity is not None and record.fidelity is not None:
-        fidelity.load_state_dict(record.fidelity)
-    return record, searcher
-
-
-def _check_budget(budget: int, record: Record, directory: RunDirectory) -> None:
-    """OptionError if the budget is below what has been rendered already."""
-    if record.evaluations > budget:
-        raise OptionError(
-            f"the run in {directory.path} has {record.evaluations} renders already, and the "
-            f"budget is {budget}: give at least as many, or name another directory"
-        )
 
 
 def make_task(
@@ -365,7 +351,3 @@ def target_of(task: Task, file: Path | None = None) -> Float32:
     except RuntimeError as error:
         raise RenderError(f"{own_name(task)} failed to render its target: {error}") from error
     return kept.image if kept is not None and same_target(kept.image, target) else target
-
-
-def _words(command: Sequence[str] | None) -> list[str] | None:
-    return None if command is None else list(command)

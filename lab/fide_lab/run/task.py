@@ -1,4 +1,4 @@
-"""What is fitted: the protocol of a task, what a task may say of itself, a user's renderer as a task."""
+"""What is fitted: the protocol of a task, what one says of itself, a user's renderer as one."""
 
 from __future__ import annotations
 
@@ -140,7 +140,6 @@ class RendererTask:
         return self._picture
 
     def _check_size(self, picture: Float32) -> None:
-        """Raise ImageError if the renderer's images have another size."""
         try:
             image = self._render(self.decode(np.full(self.dim, 0.5)))
             found = as_batch([image], on_clip=lambda message: None).shape[1:3]
@@ -194,8 +193,6 @@ def make_renderer_task(name: str, seed: int, options: Mapping[str, Any]) -> Rend
         `target` is the path of a picture.  `command` is the template of a command line, see
         `renderers.template`, and `timeout` the seconds until it is stopped; then the space is
         required, and `name` is only a name.
-
-    Raises OptionError, SpaceError and ImageError (ValueErrors), OSError if a file cannot be read.
     """
     known = _OF_COMMAND if "command" in options else _OF_BOTH
     for option in options:

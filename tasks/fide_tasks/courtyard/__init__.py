@@ -15,7 +15,7 @@ from functools import cache
 
 import numpy as np
 
-from fide_tasks.courtyard import arcade, furniture, ground, plan, plants, roof, walls
+from fide_tasks.courtyard import building, court, plan
 from fide_tasks.courtyard.mesh import Array, Mesh, join
 
 __all__ = ["Mesh", "courtyard"]
@@ -25,22 +25,22 @@ __all__ = ["Mesh", "courtyard"]
 def courtyard() -> Mesh:
     """Return the courtyard as one mesh; built once in a process, so do not write to it."""
     parts = [
-        *ground.paving(),
-        ground.stairs(),
-        roof.tower(),
-        furniture.fountain(),
-        *furniture.tables(),
-        *furniture.flags(),
-        *plants.trees(),
-        plants.climber(),
+        *court.paving(),
+        court.stairs(),
+        building.tower(),
+        court.fountain(),
+        *court.tables(),
+        *court.flags(),
+        *court.trees(),
+        court.climber(),
     ]
     for side in plan.SIDES:
         local = [
-            *arcade.arcade(side),
-            *walls.walls(side),
-            *roof.roof(side),
-            *ground.walk(side),
-            *plants.pots(side),
+            *building.arcade(side),
+            *building.walls(side),
+            *building.roof(side),
+            *court.walk(side),
+            *court.pots(side),
         ]
         parts += [part.placed(*side.frame) for part in local]
     return _weathered(join(parts))

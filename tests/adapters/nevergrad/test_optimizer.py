@@ -221,15 +221,6 @@ def test_point_23_an_objective_that_fails_can_be_mended() -> None:
     assert optimizer.num_tell == optimizer.num_images == 20
 
 
-@pytest.mark.filterwarnings("ignore::fide_adapters.nevergrad.NoImagesWarning")
-def test_without_a_target_options_of_the_network_mean_nothing() -> None:
-    optimizer = fide(target=None, preset="paper", popsize=4, options={"epochs": 5})
-    for _ in range(6):
-        candidate = optimizer.ask()
-        optimizer.tell(candidate, float(np.square(candidate.value).sum()))
-    assert optimizer.num_tell == 6
-
-
 def test_another_target_keeps_the_mask() -> None:
     mask = np.zeros(TARGET.shape[:2], np.float32)
     mask[4:] = 1
@@ -246,3 +237,11 @@ def test_without_a_mask_another_target_may_have_any_size() -> None:
     optimizer = fide(target=[TARGET, TARGET])
     optimizer.target = np.zeros((8, 8, 3))
     assert optimizer.target.shape == (8, 8, 3)
+
+
+def test_a_range_of_values_stays_with_another_target() -> None:
+    optimizer = fide(target=10 * TARGET - 3, value_range=(-3, 17))
+    np.testing.assert_allclose(optimizer.target, 10 * TARGET - 3, atol=1e-5)
+    optimizer.target = 8 * TARGET - 3
+    optimizer.tell(optimizer.ask(), 8 * TARGET - 3)
+    assert optimizer.recommend().loss < 1e-12

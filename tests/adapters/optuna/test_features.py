@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from fide_adapters.optuna.features import BYTES, Codec
+from fide_adapters.optuna.images import BYTES, Codec
 
 SHAPES = [(1, 1), (1, 20), (4, 768), (13, 3), (196, 20), (256, 20), (201, 384), (1300, 3)]
 SHAPES += [(1301, 5), (4096, 64)]

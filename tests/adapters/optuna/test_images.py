@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import gc
-import math
-import weakref
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,73 +9,20 @@ from typing import Any
 import numpy as np
 import optuna
 import pytest
-import torch
 from optuna.samplers import RandomSampler
 from optuna.trial import BaseTrial, FixedTrial, Trial, TrialState
 from PIL import Image
 
-from fide_adapters.optuna import FIDESampler, ImageLoss, ImageRef, image_objective
+from fide_adapters.optuna import ImageLoss, ImageRef, image_objective
 from fide_adapters.optuna.storage import IMAGE
 from fide_plugins import encoders
-from fide_plugins.errors import FeaturesError, ImageError, LossError, ProtocolError
+from fide_plugins.errors import FeaturesError, LossError, ProtocolError
 
 from .conftest import Bench, counts_of
 
 
 def as_png(image: Any) -> Any:
     return Image.fromarray(np.round(image * 255).astype(np.uint8))
-
-
-GOOD: dict[str, Any] = {
-    "HxWx3": lambda image: image,
-    "HxWx1": lambda image: image[..., :1],
-    "HxW": lambda image: image[..., 0],
-    "HxWx4": lambda image: np.dstack([image, np.ones(image.shape[:2])]),
-    "CHW tensor": lambda image: torch.from_numpy(image).permute(2, 0, 1),
-    "uint8": lambda image: np.round(image * 255).astype(np.uint8),
-    "bool": lambda image: image > 0.5,
-    "float64": lambda image: image.astype(np.float64),
-    "not contiguous": lambda image: np.repeat(image, 2, axis=0)[::2],
-    "PIL": as_png,
-}
-
-
-@pytest.mark.parametrize("form", GOOD)
-def test_point_17_forms_of_images(bench: Bench, form: str) -> None:
-    sampler = bench.sampler()
-    study = optuna.create_study(sampler=sampler)
-    image = GOOD[form](bench.render(bench.answer))
-    study.optimize(
-        lambda trial: sampler.tell_image(trial, image) + 0 * sum(bench.suggest(trial)), n_trials=1
-    )
-    assert counts_of(study) == {"member": 1, "image": 1}
-    assert "fide:image" in study.trials[0].system_attrs
-    if form in ("HxWx3", "CHW tensor", "float64", "not contiguous", "HxWx4"):
-        assert study.trials[0].value == pytest.approx(0.0, abs=1e-12)
-
-
-BAD: dict[str, tuple[Any, str]] = {
-    "NaN": (np.full((8, 8, 3), np.nan), "finite"),
-    "another size": (np.zeros((9, 8, 3)), r"\(9, 8, 3\)"),
-    "1x1": (np.zeros((1, 1, 3)), r"\(1, 1, 3\)"),
-    "two channels": (np.zeros((8, 8, 2)), r"\(8, 8, 2\)"),
-    "int64": (np.zeros((8, 8, 3), np.int64), "int64"),
-    "text": ("/no/such/file.png", "/no/such/file.png"),
-    "a batch": (np.zeros((2, 8, 8, 3)), r"\(2, 8, 8, 3\)"),
-}
-
-
-@pytest.mark.parametrize("what", BAD)
-def test_point_17_bad_images_change_nothing(bench: Bench, what: str) -> None:
-    image, message = BAD[what]
-    sampler = bench.sampler()
-    study = optuna.create_study(sampler=sampler)
-    trial = study.ask()
-    with pytest.raises(ImageError, match=f"(?s){message}") as caught:
-        sampler.tell_image(trial, image)
-    assert isinstance(caught.value, ValueError)
-    assert not study.trials[0].system_attrs
-    assert counts_of(study) == {}
 
 
 def test_point_17_bad_losses_and_features_change_nothing(bench: Bench) -> None:
@@ -119,22 +63,6 @@ def test_features_of_another_version_are_not_stored(bench: Bench, how: str) -> N
     first, second = study.trials
     assert first.state is TrialState.FAIL and IMAGE not in first.system_attrs
     assert second.state is TrialState.COMPLETE and IMAGE in second.system_attrs
-
-
-def test_features_are_as_good_as_the_image(bench: Bench) -> None:
-    encode = encoders.make("dense")
-    near: FIDESampler = bench.sampler()
-    far: FIDESampler = bench.sampler()
-    studies = [optuna.create_study(sampler=sampler) for sampler in (near, far)]
-    bench.run(studies[0], 40)
-
-    def objective(trial: Trial) -> float:
-        image = bench.render(bench.suggest(trial))
-        loss = float(np.square(image.astype(np.float64) - bench.target).mean())
-        return far.tell_features(trial, encode(image[None]), loss)
-
-    studies[1].optimize(objective, n_trials=40)
-    np.testing.assert_array_equal(bench.points(studies[0]), bench.points(studies[1]))
 
 
 @pytest.mark.parametrize("kind", ["image", "pair", "image loss", "features", "file", "lists"])
@@ -216,23 +144,6 @@ def test_what_is_no_trial_is_refused_with_what_to_give(bench: Bench, what: Any, 
         sampler.tell_features(what(trial), tokens, 0.5)
 
 
-def test_a_target_without_images_is_warned_of_once(bench: Bench) -> None:
-    study = optuna.create_study(sampler=bench.sampler())
-    study.optimize(lambda trial: sum(bench.suggest(trial)), n_trials=6)
-    with pytest.warns(
-        RuntimeWarning, match=r"gets no images, so it is CMA-ES.*tell_image"
-    ) as caught:
-        study.optimize(lambda trial: sum(bench.suggest(trial)), n_trials=12)
-    assert len(caught) == 1
-
-
-def test_trials_that_fail_with_an_infinite_loss_are_no_reason_to_warn(bench: Bench) -> None:
-    study = optuna.create_study(sampler=bench.sampler())
-    study.optimize(lambda trial: math.inf * (1 + sum(bench.suggest(trial))), n_trials=14)
-    bench.run(study, 6)
-    assert bench.sampler_of(study).counts(study)["image"] == 6
-
-
 @pytest.mark.parametrize(
     ("pair", "what"), [(False, "an image, a"), (True, r"a pair \(loss, image\), the image a")]
 )
@@ -271,18 +182,3 @@ def test_an_objective_that_raises_is_no_such_mistake(bench: Bench) -> None:
     study = optuna.create_study(sampler=bench.sampler())
     study.optimize(raises, n_trials=2, catch=ValueError)
     assert len(study.trials) == 2
-
-
-def test_point_18_an_image_is_not_kept(bench: Bench) -> None:
-    study = optuna.create_study(sampler=bench.sampler())
-    sampler = bench.sampler_of(study)
-    images: list[weakref.ref[Any]] = []
-
-    def objective(trial: Trial) -> float:
-        image = bench.render(bench.suggest(trial))
-        images.append(weakref.ref(image))
-        return sampler.tell_image(trial, image)
-
-    study.optimize(objective, n_trials=20)
-    gc.collect()
-    assert [ref() for ref in images] == [None] * 20

@@ -19,7 +19,7 @@ from optuna.samplers import RandomSampler
 from optuna.trial import Trial
 
 from fide_adapters.optuna import FIDESampler
-from fide_adapters.optuna.settings import OptimizerSettings
+from fide_adapters.optuna.settings import Settings
 from fide_plugins import FIDE, encoders
 
 from .conftest import Bench, asked_by_core, counts_of
@@ -66,18 +66,18 @@ def test_an_encoder_is_made_once_and_few_optimizers(
 ) -> None:
     """Also in the first trial, whose 20 parameters are suggested one by one."""
     made: Counter[str] = Counter()
-    make_encoder, make_optimizer = encoders.make, OptimizerSettings.make
+    make_encoder, make_optimizer = encoders.make, Settings.make
 
     def counted_encoder(*arguments: Any, **options: Any) -> Any:
         made["encoders"] += 1
         return make_encoder(*arguments, **options)
 
-    def counted_optimizer(*arguments: Any) -> FIDE:
+    def counted_optimizer(*arguments: Any, **options: Any) -> FIDE:
         made["optimizers"] += 1
-        return make_optimizer(*arguments)
+        return make_optimizer(*arguments, **options)
 
     monkeypatch.setattr(encoders, "make", counted_encoder)
-    monkeypatch.setattr(OptimizerSettings, "make", counted_optimizer)
+    monkeypatch.setattr(Settings, "make", counted_optimizer)
     sampler: FIDESampler = bench.sampler(target=bench.target if target else None)
 
     def objective(trial: Trial) -> float:
@@ -110,21 +110,6 @@ def test_groups_may_be_of_more_parameters_than_the_first_trial_expects(bench: Be
     study = run()
     assert [t.params for t in study.trials] == [t.params for t in known.trials]
     assert counts_of(study) == {"member": 8, "image": 8}
-
-
-@pytest.mark.filterwarnings("ignore:.*gets no images")
-@pytest.mark.parametrize("target", [True, False])
-def test_point_4_without_images_it_is_cma_es(bench: Bench, target: bool) -> None:
-    def sphere(trial: Trial) -> float:
-        return float(((np.array(bench.suggest(trial)) - 0.3) ** 2).sum())
-
-    settings: dict[str, Any] = {} if target else {"target": None}
-    study = optuna.create_study(sampler=bench.sampler(search_space=bench.space, **settings))
-    study.optimize(sphere, n_trials=120)
-    core = FIDE(5, bench.target, seed=0, popsize=6, proposer="none")
-    for x in bench.points(study):
-        np.testing.assert_array_equal(core.ask(1)[0], x)
-        core.tell(x[None], losses=[((x - 0.3) ** 2).sum()])
 
 
 def test_point_4_same_seed_same_study(bench: Bench) -> None:

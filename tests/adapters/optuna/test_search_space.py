@@ -15,9 +15,7 @@ from optuna.distributions import (
     IntDistribution,
 )
 
-from fide_adapters.optuna import FIDESampler
 from fide_adapters.optuna.search_space import SearchSpace as Space
-from fide_plugins import FIDE, Choice, Float, Int, Space as Named
 from fide_plugins.errors import SpaceError
 
 SPACE: dict[str, BaseDistribution] = {
@@ -157,45 +155,6 @@ def test_a_range_that_is_too_long_is_refused() -> None:
     endless = {"a": SPACE["int"], "b": FloatDistribution(-1.7e308, 1.7e308)}
     with pytest.raises(SpaceError, match="parameter 'b'.*high - low must be finite; take a narrow"):
         Space(endless)
-
-
-def test_mixed_parameters_are_searched_as_by_fide_itself() -> None:
-    """Integers, steps, logarithms and choices: the candidates of FIDE with such a space."""
-    distributions: dict[str, BaseDistribution] = {
-        "a": FloatDistribution(-2.0, 5.0),
-        "b": IntDistribution(-3, 4),
-        "c": CategoricalDistribution(list("uvw")),
-        "d": IntDistribution(1, 64, log=True),
-        "e": FloatDistribution(0.0, 1.0, step=0.125),
-        "f": CategoricalDistribution([False, True]),
-    }
-    space = Named(
-        a=Float(-2.0, 5.0),
-        b=Int(-3, 4),
-        c=Choice(*"uvw"),
-        d=Int(1, 64, log=True),
-        e=Float(0.0, 1.0, step=0.125),
-        f=Choice(False, True),
-    )
-
-    def render(p: dict[str, Any]) -> Any:
-        x = [p["a"] / 5, p["b"] / 4, "uvw".index(p["c"]), p["d"] / 64, p["e"], p["f"]]
-        grid = np.arange(64).reshape(8, 8)
-        return 0.5 + 0.4 * np.sin(sum(v * (i + 1) * grid / 20 for i, v in enumerate(x)))
-
-    target = render({"a": 1.0, "b": 2, "c": "v", "d": 20, "e": 0.25, "f": True})
-    sampler = FIDESampler(target, seed=0, search_space=distributions)
-    study = optuna.create_study(sampler=sampler)
-    core = FIDE(space, target, seed=0)
-    for _ in range(12):
-        asked = [space.decode(x) for x in core.ask()]
-        for expected in asked:
-            trial = study.ask()
-            params = {name: trial._suggest(name, d) for name, d in distributions.items()}
-            assert params == {**expected, "a": pytest.approx(expected["a"])}
-            study.tell(trial, sampler.tell_image(trial, render(expected)))
-        core.tell(core.space.encode_many(asked), [render(p) for p in asked])  # type: ignore[union-attr]
-    assert sampler.counts(study)["member"] == len(study.trials)
 
 
 def test_trials_with_more_or_in_a_wider_range_are_taken() -> None:

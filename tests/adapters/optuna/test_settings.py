@@ -112,12 +112,6 @@ def test_without_a_target_it_says_once_that_it_is_cma_es(
     ]
 
 
-def test_without_a_target_options_of_the_network_mean_nothing(bench: Bench) -> None:
-    study = optuna.create_study(sampler=FIDESampler(preset="paper", epochs=5, popsize=4))
-    study.optimize(lambda trial: sum(bench.suggest(trial)), n_trials=6)
-    assert len(study.trials) == 6
-
-
 def test_a_search_space_that_promises_too_much_is_warned_of_once(bench: Bench) -> None:
     space = {**bench.space, "never": FloatDistribution(0.0, 1.0)}
     study = optuna.create_study(sampler=bench.sampler(search_space=space))

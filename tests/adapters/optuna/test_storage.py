@@ -17,7 +17,7 @@ from optuna.testing.storages import STORAGE_MODES, StorageSupplier
 from optuna.trial import FrozenTrial, Trial, TrialState
 
 from fide_adapters.optuna import FIDESampler
-from fide_adapters.optuna.features import BYTES, ImageEvaluator
+from fide_adapters.optuna.images import BYTES, ImageEvaluator
 from fide_adapters.optuna.storage import MOST_NAMED, Ask, read_ask, write_image
 from fide_plugins import FIDE
 

@@ -12,7 +12,7 @@ import pytest
 from fide_lab import compare
 from fide_lab.compare import Outcome, Plan
 from fide_lab.compare.driver import prepare
-from fide_lab.report.tables import METHOD
+from fide_lab.report.sentences import METHOD
 from fide_plugins.recording.storage import RunDirectoryError
 
 from .conftest import small

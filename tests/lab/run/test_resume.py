@@ -178,9 +178,9 @@ def test_times_of_every_checkpoint_add_up(tmp_path: Path, monkeypatch: pytest.Mo
 
     saved, save = [], RunDirectory.save
 
-    def noted(self: RunDirectory, record: Any, optimizer: Any) -> None:
+    def noted(self: RunDirectory, record: Any, optimizer: Any, *more: Any) -> None:
         saved.append((record.wall_s, sum(record.times.values())))
-        save(self, record, optimizer)
+        save(self, record, optimizer, *more)
 
     monkeypatch.setattr(RunDirectory, "save", noted)
     monkeypatch.setattr(CheckpointTimer, "due", lambda self, optimizer: True)

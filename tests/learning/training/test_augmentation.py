@@ -130,7 +130,7 @@ def test_gray_has_no_saturation_to_change() -> None:
 
 def test_what_is_in_front_is_one_rectangle_of_one_color() -> None:
     images = waves(200)
-    hidden = (augmentation._in_front(images, seeded()) != images).any(1)  # (n, H, W)
+    hidden = (augmentation.in_front(images, seeded()) != images).any(1)  # (n, H, W)
     share = hidden.float().mean((1, 2))
     assert float(share.max()) <= (0.3 + 1 / 24) ** 2 and float(share.max()) > 0.04
     rows, columns = hidden.any(2), hidden.any(1)

@@ -1,4 +1,4 @@
-"""Loss and features of a trial's image, and how the features are stored in 1,750 characters.
+"""Images of trials: their loss, their features in 1,750 characters, and artifacts.
 
 All workers that know the target read the same features from the storage.
 
@@ -29,6 +29,9 @@ With one byte the steps are 0.001 u near zero and 7 % of d far from it.  An imag
 target is stored without error, and equal patches of two images are equal in storage.
 
 More than 1,300 tokens are averaged in runs of neighbors.
+
+Optuna records an artifact before it stores the artifact, and a store may lose one.  If an image
+cannot be read, for whatever reason, its trial counts without it.
 """
 
 from __future__ import annotations
@@ -36,28 +39,42 @@ from __future__ import annotations
 import base64
 import binascii
 import hashlib
+import io
 import json
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from math import asinh, ceil
+from pathlib import Path, PurePath
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import torch
+from optuna.artifacts import get_all_artifact_meta, upload_artifact
+from optuna.storages import BaseStorage
+from optuna.trial import FrozenTrial, Trial
+from PIL import Image
 from torch import Tensor
 
 from fide_adapters.image_loss import ImageReader
+from fide_adapters.optuna.storage import WarnOnce
+from fide_plugins.errors import OptionError
 from fide_plugins.evaluation import Evaluator
 from fide_plugins.types import Float32, Float64
+from fide_plugins.validation.pixels import warn_clipped
 from fide_plugins.validation.tensors import as_features
+from fide_plugins.views import Views
 
-__all__ = ["BYTES", "Codec", "ImageEvaluator"]
+__all__ = ["BYTES", "Codec", "ImageArtifacts", "ImageEvaluator"]
 
 BYTES = 1300
 """Most bytes of an image; four characters of base64 hold three bytes."""
 
 _FORMAT = "1"
+_ARTIFACTS = "artifacts:"  # Optuna's attributes
+_MOST_BYTES = 2**28  # of an artifact
 _Levels = npt.NDArray[np.int8]
 
 
@@ -241,11 +258,13 @@ class ImageEvaluator:
 
     def loss(self, image: Float32) -> float:
         """Loss of a canonical image (1, H, W, 3)."""
-        return float(self.evaluator.loss.compute(image)[0])
+        return float(self.evaluator.evaluate(1, image, encode=False).losses[0])
 
     def tokens(self, image: Float32) -> Tensor:
         """Features (T, C) of a canonical image (1, H, W, 3)."""
-        return self.evaluator.encoder.compute(image)[0]
+        tokens = self.evaluator.evaluate(1, image, [0.0]).tokens
+        assert tokens is not None
+        return tokens[0]
 
     def check(self, features: object, version: str | None = None) -> Tensor:
         """Features (T, C) from the user's (T, C) or (1, T, C); raises `FeaturesError`.
@@ -262,3 +281,70 @@ class ImageEvaluator:
         return {
             name: value for name, value in self.__dict__.items() if name not in made_when_needed
         }
+
+
+class ImageArtifacts:
+    """The images in one artifact store.
+
+    store: an `optuna.artifacts` store.
+    warnings: where an image is reported that is recorded and cannot be read.
+
+    Raises OptionError, a ValueError, for what is no store.
+    """
+
+    def __init__(self, store: Any, warnings: WarnOnce) -> None:
+        if not (hasattr(store, "write") and hasattr(store, "open_reader")):
+            raise OptionError(
+                "artifact_store must be one of optuna.artifacts, such as "
+                f"FileSystemArtifactStore(folder), not {store!r}"
+            )
+        self._store, self._warnings = store, warnings
+
+    def save(self, trial: Trial, images: list[Float32]) -> None:
+        """Upload the image (1, H, W, 3) of each view as 8-bit PNG, which Optuna Dashboard shows."""
+        with tempfile.TemporaryDirectory(prefix="fide-") as folder:
+            for name, image in zip(_names(len(images)), images, strict=True):
+                path = Path(folder, name)
+                Image.fromarray(np.round(image[0] * 255).astype(np.uint8)).save(path)
+                upload_artifact(
+                    artifact_store=self._store,
+                    file_path=str(path),
+                    study_or_trial=trial,
+                    mimetype="image/png",
+                )
+
+    def load(self, trial: FrozenTrial, storage: BaseStorage, views: Views) -> Float32 | None:
+        """Image (1, H, W, 3) of a trial, packed if there are several views; None if there is none.
+
+        Of one view it is the first image; those of several views have the names that `save` gives.
+        """
+        if not any(key.startswith(_ARTIFACTS) for key in trial.system_attrs):
+            return None
+        try:
+            metas = get_all_artifact_meta(trial, storage=storage)
+            found = [meta for meta in metas if str(meta.mimetype).startswith("image/")]
+            if views.listed:
+                by_name = {meta.filename: meta for meta in found}
+                found = [by_name[name] for name in _names(len(views.views)) if name in by_name]
+            if found:
+                images = [self._image(meta.artifact_id) for meta in found]
+                image = images if views.listed else images[0]
+                return views.canonical.batch_of_one(image, warn_clipped)  # `save` has scaled it
+        except Exception as error:  # whatever the store's client or PIL raises
+            self._warnings.warn(
+                "artifacts",
+                f"the image of trial {trial.number} in the artifact store cannot be used, so the "
+                f"trial counts without it: {error or type(error).__name__}",
+            )
+        return None
+
+    def _image(self, name: object) -> Any:
+        if not isinstance(name, str) or PurePath(name).name != name:
+            raise ValueError(f"not the id of an artifact: {name!r}")  # a path could lead anywhere
+        with self._store.open_reader(name) as reader:
+            return Image.open(io.BytesIO(reader.read(_MOST_BYTES)))
+
+
+def _names(views: int) -> list[str]:
+    """File names of the images of so many views."""
+    return ["image.png"] if views == 1 else [f"image-{i}.png" for i in range(views)]

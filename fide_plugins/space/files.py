@@ -1,4 +1,4 @@
-"""A space as plain dictionaries, lists, texts and numbers: for JSON and TOML.
+"""A space as plain dictionaries, lists, texts and numbers, for JSON, and as a file in TOML.
 
     {"azimuth": {"type": "float", "low": -60.0, "high": 60.0, "unit": "deg", "periodic": true},
      "floor": {"type": "choice", "values": ["checker", "wood"]},
@@ -11,17 +11,19 @@ Conditions on the parameters are the table "constraints", a text for each name (
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+import os
+import tomllib
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from fide_plugins.errors import SpaceError, did_you_mean
 from fide_plugins.space.group import Group, Member, Repeated
-from fide_plugins.space.kinds import Choice, Float, Int, Kind
-from fide_plugins.space.synonyms import is_synonym, right_word
+from fide_plugins.space.kinds import Choice, Float, Int, Kind, is_synonym, right_word
 
-__all__ = ["from_dict", "to_dict"]
+__all__ = ["from_dict", "parse_toml", "read_toml", "to_dict", "to_toml"]
 
 _KINDS = {kind.type: kind for kind in (Float, Int, Choice)}
 _KEYS = {
@@ -31,6 +33,7 @@ _KEYS = {
 }
 _PLAIN = (str, int, float, bool, type(None))
 _REQUIRED = {"float": ("low", "high"), "int": ("low", "high"), "choice": ("values",)}
+_MOST_BYTES = 2**24  # of a file: 200,000 parameters
 
 
 def to_dict(members: Mapping[str, Member], prefix: str = "") -> dict[str, Any]:
@@ -153,3 +156,65 @@ def _group(table: str, data: Mapping[str, Any]) -> Group | Repeated:
         raise SpaceError(f"is empty; write low = 0, high = 1 below it, or tables [{table}.NAME]")
     group = Group(_members(members, f"{table}."))
     return group * data["repeat"] if "repeat" in data else group
+
+
+# -- TOML ------------------------------------------------------------------------------------------
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Tables of a text; SpaceError if it is no TOML."""
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # also a number of 5,000 digits, deep brackets
+        raise SpaceError(f"no TOML: {error}; write [name] and below it key = value") from None
+
+
+def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Tables of a file, or of a pipe; SpaceError if it is no TOML, OSError if it cannot be read."""
+    with open(path, "rb") as file:
+        data = file.read(_MOST_BYTES + 1)
+    if len(data) > _MOST_BYTES:
+        raise SpaceError(f"it has more than {_MOST_BYTES:,} bytes; name the file of a space")
+    try:
+        return parse_toml(data.decode("utf-8-sig"))  # Windows begins files with a mark
+    except UnicodeDecodeError as error:
+        raise SpaceError(f"no TOML: {error}; save it as UTF-8") from None
+
+
+def to_toml(data: Mapping[str, Any]) -> str:
+    """Tables as a text."""
+    return "\n".join(_table((key,), value) for key, value in data.items())
+
+
+def _table(path: tuple[str, ...], data: Mapping[str, Any]) -> str:
+    inner = {key: value for key, value in data.items() if isinstance(value, Mapping)}
+    own = {key: value for key, value in data.items() if key not in inner}
+    lines = [f"[{'.'.join(map(_key, path))}]", *_lines(path, own)]
+    tables = [_table((*path, key), value) for key, value in inner.items()]
+    return "\n".join(["\n".join(lines) + "\n", *tables])
+
+
+def _lines(path: tuple[str, ...], data: Mapping[str, Any]) -> Iterator[str]:
+    for key, value in data.items():
+        if isinstance(value, list):
+            inside = ", ".join(_value(path, each) for each in value)
+            yield f"{_key(key)} = [{inside}]"
+        else:
+            yield f"{_key(key)} = {_value(path, value)}"
+
+
+def _key(key: str) -> str:
+    return key if key.isascii() else _quoted(key)
+
+
+def _value(path: tuple[str, ...], value: Any) -> str:
+    if value is None:
+        raise SpaceError(f"[{'.'.join(path)}] holds None, which TOML cannot; use the text 'none'")
+    if isinstance(value, str):
+        return _quoted(value)
+    return json.dumps(value) if isinstance(value, bool) else repr(value)
+
+
+def _quoted(value: str) -> str:
+    """Return a text as TOML has it, which escapes as JSON does, and DEL."""
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

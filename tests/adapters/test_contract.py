@@ -1,0 +1,468 @@
+"""What holds for FIDE in Optuna and in Nevergrad: the same candidates, images and refusals."""
+
+from __future__ import annotations
+
+import gc
+import math
+import pickle
+import warnings
+import weakref
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, Protocol
+
+import nevergrad as ng
+import numpy as np
+import optuna
+import pytest
+import torch
+from optuna.distributions import (
+    BaseDistribution,
+    CategoricalDistribution,
+    FloatDistribution,
+    IntDistribution,
+)
+from PIL import Image
+
+from fide_adapters.image_loss import ImageRef
+from fide_adapters.nevergrad import NoImagesWarning, ParametrizedFIDE
+from fide_adapters.optuna import FIDESampler
+from fide_plugins import FIDE, Choice, Float, Int, Space, encoders, learn
+from fide_plugins.errors import FeaturesError, ImageError, LossError, ValueRangeError
+from fide_plugins.space import Kind
+from fide_plugins.types import Float32
+
+Params = dict[str, Any]
+Kinds = dict[str, Any]
+
+SIZE = 8
+GRID = (np.arange(SIZE) + 0.5) / SIZE
+FLOATS: Kinds = {name: Float(0, 1) for name in "abcde"}
+MIXED: Kinds = {
+    "a": Float(0.01, 1, log=True),
+    "b": Int(-3, 4),
+    "c": Choice("u", "v", "w"),
+    "d": Int(1, 64, log=True),
+    "e": Choice(False, True),
+}
+
+
+def disk(p: Params) -> Float32:
+    """Image (8, 8, 3) of a soft disk at a, b, of color c, d, e; choices count from 0."""
+    a, b, c, d, e = (float("uvw".find(v)) / 2 if isinstance(v, str) else v for v in p.values())
+    far = np.hypot(GRID[None, :] - a, GRID[:, None] - b / (8 if isinstance(b, int) else 1))
+    color = np.array([c, d / (64 if isinstance(d, int) else 1), e], float)
+    image: Float32 = ((1 / (1 + np.exp(15 * (far - 0.3))))[..., None] * color).astype(np.float32)
+    return image
+
+
+def views(p: Params) -> list[Any]:
+    return [disk(p), disk(p)[:, :5] / 2]
+
+
+ANSWER: Params = {"a": 0.7, "b": 0.35, "c": 0.9, "d": 0.4, "e": 0.2}
+TARGET = disk(ANSWER)
+
+
+class Adapter(Protocol):
+    """FIDE in one of the frameworks: asked and told one candidate at a time."""
+
+    whole: bool  # whether it asks as FIDE that is asked for whole generations
+    warning: type[Warning]
+
+    def __init__(self, kinds: Kinds, target: Any, **settings: Any) -> None: ...
+
+    def ask(self) -> tuple[Any, Params]:
+        """A candidate, and its parameters."""
+
+    def tell(self, candidate: Any, loss: Any = None, **result: Any) -> None:
+        """With `image` or `features` and `version`."""
+
+    @property
+    def images(self) -> int:
+        """Candidates told with an image."""
+
+
+class InOptuna:
+    whole, warning = True, RuntimeWarning
+
+    def __init__(self, kinds: Kinds, target: Any, **settings: Any) -> None:
+        self.space = {name: self.distribution(kind) for name, kind in kinds.items()}
+        given = {"seed": 0, "search_space": self.space, **settings}
+        self.sampler = FIDESampler(target, **given)
+        self.study = optuna.create_study(sampler=self.sampler)
+
+    @staticmethod
+    def distribution(kind: Kind) -> BaseDistribution:
+        if isinstance(kind, Choice):
+            return CategoricalDistribution(kind.values)
+        made: Any = IntDistribution if isinstance(kind, Int) else FloatDistribution
+        distribution: BaseDistribution = made(kind.low, kind.high, log=kind.log)
+        return distribution
+
+    def ask(self) -> tuple[Any, Params]:
+        trial = self.study.ask(fixed_distributions=self.space)
+        return trial, {name: trial.params[name] for name in self.space}
+
+    def tell(self, candidate: Any, loss: Any = None, **result: Any) -> None:
+        if "image" in result:
+            loss = self.sampler.tell_image(candidate, result["image"], loss)
+        elif "features" in result:
+            loss = self.sampler.tell_features(
+                candidate, result["features"], loss, version=result.get("version")
+            )
+        self.study.tell(candidate, loss)
+
+    @property
+    def images(self) -> int:
+        return self.sampler.counts(self.study).get("image", 0)
+
+
+class InNevergrad:
+    whole, warning = False, NoImagesWarning
+
+    def __init__(self, kinds: Kinds, target: Any, **settings: Any) -> None:
+        space = ng.p.Dict(**{name: self.parameter(kind) for name, kind in kinds.items()})
+        self.optimizer = ParametrizedFIDE(target=target, **{"seed": 0, **settings})(space, 1000)
+
+    @staticmethod
+    def parameter(kind: Kind) -> Any:
+        if isinstance(kind, Choice):
+            return ng.p.Choice(list(kind.values))
+        made = (ng.p.Log if kind.log else ng.p.Scalar)(lower=kind.low, upper=kind.high)
+        return made.set_integer_casting() if isinstance(kind, Int) else made
+
+    def ask(self) -> tuple[Any, Params]:
+        candidate = self.optimizer.ask()
+        return candidate, dict(candidate.value)
+
+    def tell(self, candidate: Any, loss: Any = None, **result: Any) -> None:
+        if loss is None and "image" in result:
+            self.optimizer.tell(candidate, result["image"])
+        else:
+            self.optimizer.tell(candidate, loss, **result)
+
+    @property
+    def images(self) -> int:
+        return int(self.optimizer.num_images)
+
+
+@pytest.fixture(params=[InOptuna, InNevergrad])
+def adapter(request: pytest.FixtureRequest) -> type[Adapter]:
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    return request.param  # type: ignore[no-any-return]
+
+
+# -- the same candidates ---------------------------------------------------------------------------
+
+
+def core(
+    adapter: type[Adapter], kinds: Kinds, target: Any, render: Any, **settings: Any
+) -> Iterator[Params]:
+    """Parameters that FIDE alone asks, which are told with their images."""
+    opt = FIDE(Space(kinds), target, **{"seed": 0, "memory_mb": 0, **settings})
+    while True:
+        X = opt.ask(None if adapter.whole else 1)
+        asked = Space(kinds).decode_many(X)
+        yield from asked
+        images = [render(params) for params in asked]
+        several = isinstance(images[0], list)
+        opt.tell(X, [list(view) for view in zip(*images, strict=True)] if several else images)
+
+
+def check_candidates(
+    adapter: type[Adapter], kinds: Kinds, render: Any, target: Any, **settings: Any
+) -> None:
+    made = adapter(kinds, target, **settings)
+    expected = core(adapter, kinds, target, render, **settings)
+    for _ in range(50):
+        candidate, params = made.ask()
+        for name, value in next(expected).items():
+            same = pytest.approx(value, abs=1e-9) if isinstance(value, float) else value
+            assert params[name] == same, name
+        made.tell(candidate, image=render(params))
+    assert made.images == 50
+
+
+MASK = np.pad(np.ones((SIZE, 4), np.float32), ((0, 0), (4, 0)))
+PROBLEMS: dict[str, tuple[Kinds, Any, Params]] = {
+    "floats": (FLOATS, disk, {}),
+    "mixed": (MIXED, disk, {}),
+    "fast": (FLOATS, disk, {"preset": "fast", "popsize": 12}),
+    "mask": (FLOATS, disk, {"mask": MASK}),
+    "views": (FLOATS, views, {"mask": [None, MASK[:, :5]], "popsize": 6}),
+    "a range of values": (FLOATS, lambda p: 10 * disk(p) - 3, {"value_range": (-3, 17)}),
+}
+
+
+@pytest.mark.parametrize("what", PROBLEMS)
+def test_it_asks_what_fide_asks(adapter: type[Adapter], what: str) -> None:
+    kinds, render, settings = PROBLEMS[what]
+    check_candidates(adapter, kinds, render, render(ANSWER), **settings)
+
+
+def test_so_it_is_with_the_encoder_of_a_learned_model(
+    adapter: type[Adapter], tmp_path: Path
+) -> None:
+    def ramp(x: Any) -> Any:
+        return np.repeat(np.linspace(x[0], x[1], 16)[None], 16, axis=0)
+
+    learn(ramp, 2, renders=100, size=16, passes=1, out=tmp_path / "model.fide")
+    kinds = {"a": Float(0, 1), "b": Float(0, 1)}
+    settings = {"encoder": f"learned:{tmp_path / 'model.fide'}", "popsize": 6}
+    check_candidates(adapter, kinds, lambda p: ramp(list(p.values())), ramp([0.2, 0.7]), **settings)
+
+
+@pytest.mark.filterwarnings("ignore::fide_adapters.nevergrad.NoImagesWarning")
+@pytest.mark.filterwarnings("ignore:.*gets no images")
+@pytest.mark.parametrize("target", [TARGET, None])
+def test_without_images_it_is_cma_es(adapter: type[Adapter], target: Any) -> None:
+    made = adapter(FLOATS, target)
+    alone = FIDE(Space(FLOATS), TARGET, seed=0, proposer="none")
+    for _ in range(100):
+        candidate, params = made.ask()
+        x = alone.ask(1)
+        np.testing.assert_allclose(list(params.values()), x[0], rtol=0, atol=1e-12)
+        loss = float(np.square(x - 0.3).sum())
+        made.tell(candidate, loss)
+        alone.tell(x, losses=[loss])
+
+
+@pytest.mark.slow
+def test_so_it_is_over_5000_renders(adapter: type[Adapter]) -> None:
+    """Eight Voronoi cells."""
+    import fide_tasks
+
+    task = fide_tasks.make("voronoi", size=32, seed=0)
+    kinds = {f"x{i:03}": Float(0, 1) for i in range(task.dim)}
+    made = adapter(kinds, task.target)
+
+    def render(p: Params) -> Any:
+        return task.render(np.array([list(p.values())]))[0]
+
+    expected = core(adapter, kinds, task.target, render)
+    for _ in range(5000):
+        candidate, params = made.ask()
+        np.testing.assert_allclose(
+            list(params.values()), list(next(expected).values()), rtol=0, atol=1e-9
+        )
+        made.tell(candidate, image=render(params))
+
+
+# -- images ----------------------------------------------------------------------------------------
+
+BYTES = np.round(TARGET * 255).astype(np.uint8)
+RGB = (BYTES / np.float32(255)).astype(np.float32)
+FORMS: dict[str, Callable[[Path], Any]] = {
+    "float64": lambda folder: RGB.astype(np.float64),
+    "float32": lambda folder: RGB,
+    "bytes": lambda folder: BYTES,
+    "not contiguous": lambda folder: np.asfortranarray(BYTES),
+    "a view": lambda folder: np.concatenate([BYTES, BYTES], axis=1)[:, SIZE:],
+    "read-only": lambda folder: np.frombuffer(BYTES.tobytes(), np.uint8).reshape(BYTES.shape),
+    "RGBA": lambda folder: np.dstack([BYTES, np.full((SIZE, SIZE), 255, np.uint8)]),
+    "torch HWC": lambda folder: torch.from_numpy(RGB),
+    "torch CHW": lambda folder: torch.from_numpy(RGB).permute(2, 0, 1),
+    "PIL": lambda folder: Image.fromarray(BYTES),
+    "nested lists": lambda folder: RGB.tolist(),
+    "path": lambda folder: saved(folder / "a.png"),
+    "text": lambda folder: str(saved(folder / "a.png")),
+    "reference": lambda folder: ImageRef(saved(folder / "a.png")),
+}
+
+
+def saved(path: Path) -> Path:
+    Image.fromarray(BYTES).save(path)
+    return path
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_forms_of_images(adapter: type[Adapter], form: str, tmp_path: Path) -> None:
+    """The loss is zero, so all pixels are those of the target."""
+    made = adapter(FLOATS, RGB)
+    losses = []
+    for loss in (None, 0.5):
+        candidate, _ = made.ask()
+        made.tell(candidate, loss, image=FORMS[form](tmp_path))
+        losses.append(best_of(made))
+    assert losses == [pytest.approx(0, abs=1e-12)] * 2
+    assert made.images == 2
+
+
+def best_of(made: Any) -> float:
+    if isinstance(made, InOptuna):
+        return float(made.study.best_value)
+    return float(made.optimizer.recommend().loss)
+
+
+@pytest.mark.parametrize("image", [TARGET[..., :1], TARGET[..., 0], TARGET[..., 0] > 0.5])
+def test_images_of_one_channel(adapter: type[Adapter], image: Any) -> None:
+    made = adapter(FLOATS, np.repeat(np.reshape(image, (SIZE, SIZE, 1)), 3, axis=2).astype(float))
+    candidate, _ = made.ask()
+    made.tell(candidate, image=image)
+    assert best_of(made) == pytest.approx(0, abs=1e-12)
+
+
+BAD: dict[str, tuple[Any, str]] = {
+    "another size": (np.zeros((9, 8, 3)), r"8 x 8.*9 x 8.*float64"),
+    "1 x 1": (np.zeros((1, 1, 3)), r"8 x 8.*1 x 1"),
+    "2 channels": (np.zeros((SIZE, SIZE, 2)), r"1, 3 or 4 channels.*\(8, 8, 2\)"),
+    "channels first": (np.zeros((3, SIZE, SIZE)), r"\(3, 8, 8\).*moveaxis"),
+    "int64": (np.zeros((SIZE, SIZE, 3), np.int64), "uint8.*int64"),
+    "NaN pixels": (np.full((SIZE, SIZE, 3), np.nan), "must be finite.*nan_to_num"),
+    "a batch": (np.zeros((2, SIZE, SIZE, 3)), r"\(H, W\).*\(2, 8, 8, 3\)"),
+    "no such file": (ImageRef("absent.png"), "no image file"),
+    "no such path": ("/no/such/file.png", "/no/such/file.png"),
+}
+
+
+def check_refused(
+    adapter: type[Adapter], error: type[Exception], message: str, loss: Any, **result: Any
+) -> None:
+    """The search goes on as if nothing had been told."""
+    made, twin = adapter(FLOATS, TARGET), adapter(FLOATS, TARGET)
+    (candidate, params), (other, _) = made.ask(), twin.ask()
+    with pytest.raises(error, match=f"(?s){message}") as caught:
+        made.tell(candidate, loss, **result)
+    assert isinstance(caught.value, ValueError)
+    if isinstance(made, InOptuna):
+        assert "fide:image" not in made.study.trials[0].system_attrs
+    for _ in range(10):
+        made.tell(candidate, image=disk(params))
+        twin.tell(other, image=disk(params))
+        (candidate, params), (other, expected) = made.ask(), twin.ask()
+        assert params == expected
+    assert made.images == 10
+
+
+@pytest.mark.parametrize("loss", [None, 0.5])
+@pytest.mark.parametrize("what", BAD)
+def test_what_is_no_image_changes_nothing(adapter: type[Adapter], what: str, loss: Any) -> None:
+    image, message = BAD[what]
+    check_refused(adapter, ImageError, message, loss, image=image)
+
+
+TOKENS = encoders.make("dense")(TARGET[None])[0].numpy()
+
+
+@pytest.mark.parametrize(
+    ("features", "message"),
+    [
+        (TOKENS[:, :4], r"\(1, \d+, \d+\), not \(1, \d+, 4\)"),
+        (TOKENS * np.nan, "finite"),
+        (np.zeros(TOKENS.shape, int), "floating point"),
+        ("dense", "features"),
+    ],
+)
+def test_what_are_no_features_changes_nothing(
+    adapter: type[Adapter], features: Any, message: str
+) -> None:
+    check_refused(adapter, FeaturesError, message, 0.5, features=features)
+
+
+def test_features_of_another_version_change_nothing(adapter: type[Adapter]) -> None:
+    own = encoders.make("dense").version
+    check_refused(
+        adapter, FeaturesError, f"'{own}', not 'dense-0'", 0.5, features=TOKENS, version="dense-0"
+    )
+    made = adapter(FLOATS, TARGET)
+    made.tell(made.ask()[0], 0.5, features=TOKENS, version=own)
+    assert made.images == 1
+
+
+def test_features_need_a_loss(adapter: type[Adapter]) -> None:
+    check_refused(adapter, LossError, "loss", None, features=TOKENS)
+
+
+def test_features_are_as_good_as_the_image(adapter: type[Adapter]) -> None:
+    encode = encoders.make("dense")
+    near, far = adapter(FLOATS, TARGET), adapter(FLOATS, TARGET)
+    for _ in range(40):
+        (candidate, params), (other, same) = near.ask(), far.ask()
+        assert params == same
+        image = disk(params)
+        loss = float(np.square(image.astype(np.float64) - TARGET).mean())
+        near.tell(candidate, loss, image=image)
+        tokens = pickle.loads(pickle.dumps(encode(image[None])[0].numpy()))
+        far.tell(other, loss, features=tokens)
+
+
+def test_an_image_is_not_kept(adapter: type[Adapter]) -> None:
+    made = adapter(FLOATS, TARGET)
+    images: list[weakref.ref[Any]] = []
+    for number in range(20):
+        candidate, params = made.ask()
+        image = disk(params)
+        images.append(weakref.ref(image))
+        made.tell(candidate, 0.5 if number % 2 else None, image=image)
+        del image
+    gc.collect()
+    assert [ref() for ref in images] == [None] * 20
+
+
+@pytest.mark.parametrize(
+    ("given", "got"),
+    [(np.zeros((20, 24, 3)), "one image, .*"), ([np.zeros((20, 24))] * 3, "3 images")],
+)
+def test_other_images_than_one_for_each_view_are_refused(
+    adapter: type[Adapter], given: Any, got: str
+) -> None:
+    made = adapter(FLOATS, views(ANSWER))
+    rule = rf"2 targets a render is a list of 2 images, one for each view, .*; got {got}$"
+    with pytest.raises(ImageError, match=rule):
+        made.tell(made.ask()[0], 0.1, image=given)
+
+
+def test_images_on_another_scale_are_refused(adapter: type[Adapter]) -> None:
+    made = adapter(FLOATS, 10 * TARGET, value_range="auto")
+    with pytest.raises(ValueRangeError, match="another scale"):
+        made.tell(made.ask()[0], image=1000 * TARGET + 100)
+
+
+def test_images_beyond_black_and_white_are_clipped_with_one_warning(
+    adapter: type[Adapter],
+) -> None:
+    made = adapter(FLOATS, TARGET)
+    with pytest.warns(RuntimeWarning, match=r"clipped to \[0, 1\]") as caught:
+        for _ in range(3):
+            candidate, params = made.ask()
+            made.tell(candidate, image=2 * disk(params) + 0.5)
+    assert len(caught) == 1
+
+
+@pytest.mark.parametrize("settings", [{"mask": MASK}, {"value_range": "auto"}])
+def test_a_mask_and_a_range_belong_to_a_target(adapter: type[Adapter], settings: Params) -> None:
+    with pytest.raises(ImageError, match="mask, weights and value_range belong to a target"):
+        adapter(FLOATS, None, **settings)
+
+
+# -- no images -------------------------------------------------------------------------------------
+
+
+def test_a_target_without_images_is_warned_of_once(adapter: type[Adapter]) -> None:
+    made = adapter(FLOATS, TARGET)
+    with pytest.warns(adapter.warning, match=r"gets no images, so it is CMA-ES") as caught:
+        for _ in range(30):
+            made.tell(made.ask()[0], 1.0)
+    assert len(caught) == 1
+
+
+def test_failures_without_images_are_no_reason_to_warn(adapter: type[Adapter]) -> None:
+    made = adapter(FLOATS, TARGET)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", category=ng.errors.BadLossWarning)
+        for _ in range(14):
+            made.tell(made.ask()[0], math.inf)
+    for _ in range(6):
+        candidate, params = made.ask()
+        made.tell(candidate, image=disk(params))
+    assert made.images == 6
+
+
+@pytest.mark.filterwarnings("ignore::fide_adapters.nevergrad.NoImagesWarning")
+def test_without_a_target_options_of_the_network_mean_nothing(adapter: type[Adapter]) -> None:
+    made = adapter(FLOATS, None, preset="paper", popsize=4)
+    for _ in range(6):
+        candidate, params = made.ask()
+        made.tell(candidate, sum(params.values()))
+    assert made.images == 0
