@@ -24,11 +24,11 @@ import moves
 from rows import Row, read, run_missing
 
 from fide_plugins.search.moves import (
-    BeginAnew,
     Crossover,
     HalfTurn,
     Known,
     Move,
+    RandomRestart,
     Refine,
     RelocateGroup,
     RelocateSegment,
@@ -72,7 +72,7 @@ CONFIGURATIONS: dict[str, Change] = {
     "no half turn": Change({}, without=(HalfTurn,)),
     "no relocation": Change({}, without=(RelocateGroup, RelocateSegment)),
     "no refinement": Change({}, without=(Refine,)),
-    "no beginning anew": Change({}, without=(BeginAnew,)),
+    "no beginning anew": Change({}, without=(RandomRestart,)),
     "proposer: forward model": Change({"proposer": "forward"}),
     "patience of 10 generations": Change({"patience": 10}),
     "patience of 25 generations (accurate)": Change({"patience": 25}),

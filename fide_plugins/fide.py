@@ -56,7 +56,6 @@ from fide_plugins.search.memory import Memory
 from fide_plugins.search.one_search import Search, Setting
 from fide_plugins.search.policy import MovePolicy, Stage
 from fide_plugins.search.scene import APART
-from fide_plugins.search.validity import validity_of
 from fide_plugins.space import Space
 from fide_plugins.space.constraints import constraints_not_stored
 from fide_plugins.state import State
@@ -74,10 +73,10 @@ from fide_plugins.views import Views
 from fide_plugins.views.grain import Grain
 from fide_plugins.views.loss import loss_of
 from fide_plugins.views.same_images import SameImages
-from fide_plugins.views.solved import is_solved
 
 if TYPE_CHECKING:
     from fide_plugins.learning.model import Model
+    from fide_plugins.search.validity import Validity
 
 __all__ = ["FIDE", "Decision"]
 
@@ -189,10 +188,8 @@ class FIDE(Saved):
         self.sigma0 = standard_deviations(sigma0, self.dim)
         self.seed = new_seed(seed)
         self.popsize = o.popsize or default_popsize(self.dim)
-        self.validity = validity_of(self.space, constraints, self.seed)
+        self.validity = self._validity_of(constraints)
         self.has_own_constraints = constraints is not None
-        if self.validity is not None and self.guess is not None:
-            self.validity.check_guess(self.guess)
         self.evaluator = Evaluator(
             target,
             loss,
@@ -208,6 +205,17 @@ class FIDE(Saved):
         self._lock = Lock()
         self._model: Model | None = None
         self.begin_with(learned)
+
+    def _validity_of(self, constraints: Callable[[Any], object] | None) -> Validity | None:
+        """Which points may be rendered; None: all.  Raises OptionError for a guess that may not."""
+        if constraints is None and (self.space is None or not self.space.constraints):
+            return None
+        from fide_plugins.search.validity import validity_of
+
+        validity = validity_of(self.space, constraints, self.seed)
+        if validity is not None and self.guess is not None:
+            validity.check_guess(self.guess)
+        return validity
 
     # -- line 1, and line 2 ------------------------------------------------------------------------
 
@@ -664,6 +672,8 @@ class FIDE(Saved):
         since = state.evaluations - state.retargeted_at
         known = state.moves.known
         others, apart = known.optima.others(known.exchangeability.distance)
+        from fide_plugins.views.solved import is_solved
+
         image = None if best is None else best.solution.image
         facts = Facts(
             evaluations=state.evaluations,
@@ -866,7 +876,7 @@ class FIDE(Saved):
         The search begins at the candidate whose image, of all that are remembered, is nearest to
         the picture, as wide as parameters have to move for it (`search.recall`).  This candidate is
         asked first.  Proposers know the remembered images from the first generation on.  `best`,
-        `solutions`, `status` and the local optima begin anew; `evaluations` goes on, and what is
+        `solutions`, `status` and the local optima begin again; `evaluations` goes on, and what is
         known of the scene stays: exchangeable blocks, the noise of a pixel.  Candidates that are
         still out may be told, with images or with the loss to the new picture: they count as points
         that were never asked.  Told with the loss to the old picture, one may become a false
@@ -963,12 +973,12 @@ class FIDE(Saved):
     @one_at_a_time
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Go on where `state_dict` was called; ValueError if it is none, and nothing changes."""
-        if not isinstance(state, Mapping) or "versions" not in state:
-            raise ValueError("this is no state of FIDE: it lacks 'versions'")
+        if not isinstance(state, Mapping) or not {"versions", "comparison"} <= set(state):
+            raise ValueError("this is no state of FIDE: it lacks 'versions' or 'comparison'")
         state = dict(state)
         self.evaluator.check_versions(state.pop("versions"))
         before = self.evaluator
-        self.evaluator = before.comparing(state.pop("comparison", None))
+        self.evaluator = before.comparing(state.pop("comparison"))
         try:
             self.state = self._restored(state)
         except BaseException:

@@ -22,7 +22,6 @@ from fide_plugins.population import Candidate, CandidateRole, Population
 from fide_plugins.population.candidate import Best, TrainingSample, columns, in_order
 from fide_plugins.proposers import Proposer
 from fide_plugins.proposers.feature_buffer import MOST, for_jacobian
-from fide_plugins.proposers.forward import GaussNewtonSteps
 from fide_plugins.proposers.image_gate import ImageGate
 from fide_plugins.runtime.schema import (
     GENERATOR,
@@ -42,11 +41,11 @@ from fide_plugins.search.memory import Memory
 from fide_plugins.search.one_search import Search
 from fide_plugins.search.policy import MovePolicy, Stage, Start
 from fide_plugins.types import Estimate, Float32, Float64, Posterior, Solution
-from fide_plugins.uncertainty import LocalEstimate
 from fide_plugins.validation.pixels import Clipping
 from fide_plugins.views.grain import Grain
 
 if TYPE_CHECKING:
+    from fide_plugins.proposers.forward import GaussNewtonSteps
     from fide_plugins.search.recall import Recalled
 
 __all__ = ["State"]
@@ -179,7 +178,7 @@ class State:
             if image is not None and self.scales.useful is None:
                 self.scales.note(number, exact, _copied(image))
             testing = self.stage is Stage.EXCHANGE
-            if image is not None and testing and np.array_equal(exact, self.moves.known.here.x):
+            if image is not None and testing and np.array_equal(exact, self.moves.known.current.x):
                 self.grain.note(_copied(image))
             if candidate is None or candidate.role is CandidateRole.STEP:
                 self._inject(x, told)
@@ -425,6 +424,8 @@ class State:
 
         It is computed when it is read, from what is remembered now.
         """
+        from fide_plugins.uncertainty import LocalEstimate
+
         known, layout = self.moves.known, self.search.setting.layout
         samples = self.memory.samples + self._ends
         if not samples:

@@ -156,7 +156,8 @@ class Loop:
         r = self.record
         if self.stopped is not None:
             return self.stopped
-        return self._stopping.reached(r.losses, r.wall_s, r.best_loss, improved, self.optimizer)
+        fide: Any = self.optimizer  # of another one only the budget is asked
+        return self._stopping.reached(r.losses, r.wall_s, r.best_loss, improved, fide)
 
     def put_back(self, X: Float64) -> None:
         """Render candidates (n, dim) again that could not be told."""

@@ -36,13 +36,13 @@ G + p may be singular.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from fide_plugins.runtime.schema import Schema, array, check, whole
+from fide_plugins.runtime.schema import Schema, Sides, Stateful, array, check, whole
 from fide_plugins.types import Float64, Indices, Mask
 
 __all__ = [
@@ -70,29 +70,33 @@ def for_jacobian(dim: int) -> int:
 
 
 NEGLIGIBLE = 1e-6
-_SCHEMA: Schema = {
-    "features": array("n", "f", low=-1e60, high=1e60),
-    "gram": array("n", "n", low=-1e125, high=1e125),
-    "origin": array("t", "c", low=-1e60, high=1e60),
-    "used": array("t", kind="b"),
-    "unchecked": whole(),
-}
 _FEW = 8  # leaving out fewer than one in so many is not worth the copy
 
 
-class FeatureBuffer:
+class FeatureBuffer(Stateful):
     """One channel subset: features of the images that are remembered, and their products.
 
     channels: so many leading ones; None: all.
     select: leave out tokens that do not vary.
+    features: (n, f), deviations from the origin, of the tokens in use.
+    gram: (n, n).  origin: (T, C).
+    used: (T,), the tokens that are not left out.
     """
+
+    SCHEMA: ClassVar[dict[str, Schema]] = {
+        "features": array("n", "f", low=-1e60, high=1e60),
+        "gram": array("n", "n", low=-1e125, high=1e125),
+        "origin": array("t", "c", low=-1e60, high=1e60),
+        "used": array("t", kind="b"),
+        "unchecked": whole(),
+    }
 
     def __init__(self, channels: int | None, select: bool = True) -> None:
         self.channels, self.select = channels, select
-        self.features: Float64 = np.empty((0, 0))  # (n, f), deviations, of the tokens in use
-        self.gram: Float64 = np.empty((0, 0))  # (n, n)
-        self.origin: Float64 = np.empty((0, 0))  # (T, C)
-        self.used: Mask = np.empty(0, bool)  # (T,), the tokens that are not left out
+        self.features: Float64 = np.empty((0, 0))
+        self.gram: Float64 = np.empty((0, 0))
+        self.origin: Float64 = np.empty((0, 0))
+        self.used: Mask = np.empty(0, bool)
         self._unchecked = 0  # images since it was last seen which tokens vary
         self._toward: tuple[Tensor, Float64] | None = None  # a target, its products with all images
 
@@ -120,7 +124,11 @@ class FeatureBuffer:
             self._take_up(deviations)
         new = self._flat(deviations)
         cross = new @ self.features.T
-        self.gram = np.block([[self.gram, cross.T], [cross, new @ new.T]])
+        n = len(self.gram)
+        gram = np.empty((n + len(new), n + len(new)))
+        gram[:n, :n], gram[:n, n:] = self.gram, cross.T
+        gram[n:, :n], gram[n:, n:] = cross, new @ new.T
+        self.gram = gram
         self.features = np.concatenate([self.features, new])
         self._unchecked += len(new)
         if self.select and self._unchecked >= len(self.features):  # once for every set of images
@@ -152,7 +160,9 @@ class FeatureBuffer:
 
     def _flat(self, deviations: Float64) -> Float64:
         """Features (m, f) of deviations (m, T, C): those of the tokens in use."""
-        return _rows(np.ascontiguousarray(deviations[:, self.used]))
+        if not self.used.all():
+            deviations = np.ascontiguousarray(deviations[:, self.used])
+        return _rows(deviations)
 
     def _forget(self, n: int) -> None:
         """Drop the n oldest images."""
@@ -191,26 +201,19 @@ class FeatureBuffer:
         """(n, f) -> (n, tokens in use, C)."""
         return features.reshape(len(features), self.tokens, self.origin.shape[1])
 
-    def state_dict(self) -> dict[str, Any]:
-        """All that `add` changes."""
-        return {
-            "features": self.features,
-            "gram": self.gram,
-            "origin": self.origin,
-            "used": self.used,
-            "unchecked": self._unchecked,
-        }
+    def load_state_dict(self, state: Mapping[str, Any], sides: Sides | None = None) -> None:
+        """Put back what `state_dict` gave; ValueError if it is none.
 
-    def load_state_dict(self, state: Mapping[str, Any], n: int, tokens: int | None = None) -> None:
-        """Put back what `state_dict` gave, of n images; ValueError if it is none.
-
-        tokens: T, if that is known.
+        sides: n, and T, the number of tokens, if that is known.
         """
-        _check(state, n, tokens)
+        found = dict(sides or {})
+        n, tokens = found["n"], found.get("T")
+        found = {"n": n, "t": tokens} if n and tokens is not None else {"n": n}
+        check(state, self.SCHEMA, found, "feature buffer")
+        if n and found["f"] != int(state["used"].sum()) * found["c"]:
+            raise ValueError(f"feature buffer has {found['f']} features, not those of its tokens")
+        super().load_state_dict(state, {"n": n})
         self._toward = None
-        self.features, self.gram = state["features"], state["gram"]
-        self.origin, self.used = state["origin"], state["used"]
-        self._unchecked = int(state["unchecked"])
 
 
 def _rows(features: Float64) -> Float64:
@@ -233,19 +236,7 @@ def _negligible(energy: Float64) -> Mask:
     return small
 
 
-def _check(state: Mapping[str, Any], n: int, tokens: int | None) -> None:
-    """Raise ValueError unless `state` is of n images, with features of the tokens in use."""
-    sides = {"n": n}
-    check(state, _SCHEMA, sides, "feature buffer")
-    if not n:
-        return
-    if tokens is not None and sides["t"] != tokens:
-        raise ValueError(f"feature buffer has {sides['t']} tokens, not {tokens}")
-    if sides["f"] != int(state["used"].sum()) * sides["c"]:
-        raise ValueError(
-            f"feature buffer has {sides['f']} features, not those of the tokens in use"
-        )
-
+# -- ridge regression ----------------------------------------------------------------------------
 
 _TINY = 1e-300
 _SMALLEST_GAP = 1e-3  # of a leverage to 1

@@ -356,11 +356,7 @@ class ForwardProposer(Previewed, ProposerDefaults):
 
     def state_dict(self) -> dict[str, Any]:
         """The buffer."""
-        return {
-            "x": self._x,
-            "losses": self._losses,
-            "buffer": self._buffer.state_dict(),
-        }
+        return {"x": self._x, "losses": self._losses, "buffer": self._buffer.state_dict()}
 
     def load_state_dict(self, state: Mapping[str, Any], sides: Sides | None = None) -> None:
         """Put back what `state_dict` gave; ValueError if it is none."""
@@ -368,7 +364,7 @@ class ForwardProposer(Previewed, ProposerDefaults):
         check(state, _FORWARD_SCHEMA, own, "proposer")
         self._fit = None
         self._x, self._losses = state["x"], state["losses"]
-        self._buffer.load_state_dict(state["buffer"], own["n"], (sides or {}).get("T"))
+        self._buffer.load_state_dict(state["buffer"], {**(sides or {}), "n": own["n"]})
 
 
 def balanced(jacobian: Jacobian, slope: Float64) -> float:

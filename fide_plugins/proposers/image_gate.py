@@ -29,14 +29,13 @@ rho_j over the last generations, the newest counting most, says how far images a
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 from torch import Tensor
 
 from fide_plugins.options import Options
-from fide_plugins.runtime.schema import Schema, check, real, whole
+from fide_plugins.runtime.schema import Schema, Stateful, real, whole
 from fide_plugins.types import Float64, Mask
 
 __all__ = ["ImageGate", "adapt_fraction", "rank_correlation"]
@@ -47,17 +46,8 @@ _SHORT_MEMORY = 100  # candidates, of how much the last generations agree
 _ENOUGH = 20  # generations, before images may end a search
 _LITTLE, _MUCH = 0.2, 0.4  # mean rho; measured, see `lab/reports/extremes.md`
 
-_SCHEMA: Schema = {
-    "fraction": real(0.0, 1.0),
-    "sum": real(-1e60, 1e60),
-    "variance": real(0.0, 1e60),
-    "recent": real(-1e60, 1e60),
-    "weight": real(0.0, 1e60),
-    "noted": whole(),
-}
 
-
-class ImageGate:
+class ImageGate(Stateful):
     """How far images steer the search, judged by what was evaluated.
 
     options: `guard_images`, and `proposal_fraction` with its limits.
@@ -65,6 +55,15 @@ class ImageGate:
         correlation counts; None: all channels.
     known: whether a learned model knows the picture, so that it is one of this scene.
     """
+
+    SCHEMA: ClassVar[dict[str, Schema]] = {
+        "fraction": real(0.0, 1.0),
+        "sum": real(-1e60, 1e60),
+        "variance": real(0.0, 1e60),
+        "recent": real(-1e60, 1e60),
+        "weight": real(0.0, 1e60),
+        "noted": whole(),
+    }
 
     def __init__(
         self, options: Options, channel_subsets: tuple[int | None, ...], *, known: bool = False
@@ -143,25 +142,6 @@ class ImageGate:
             limits = {"smallest": o.smallest_fraction, "largest": o.largest_fraction}
             rate = o.fraction_rate
             self.fraction = adapt_fraction(self.fraction, losses, proposed, rate=rate, **limits)
-
-    def state_dict(self) -> dict[str, Any]:
-        """Everything that changes."""
-        return {
-            "fraction": self.fraction,
-            "sum": self._sum,
-            "variance": self._variance,
-            "recent": self._recent,
-            "weight": self._weight,
-            "noted": self._noted,
-        }
-
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Put back what `state_dict` gave; ValueError if it is none."""
-        check(state, _SCHEMA, {}, "image gate")
-        self.fraction = float(state["fraction"])
-        self._sum, self._variance = float(state["sum"]), float(state["variance"])
-        self._recent, self._weight = float(state["recent"]), float(state["weight"])
-        self._noted = state["noted"]
 
 
 def rank_correlation(a: Float64, b: Float64) -> float:

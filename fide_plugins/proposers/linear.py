@@ -247,12 +247,8 @@ class LinearProposer(Previewed, ProposerDefaults):
     def state_dict(self) -> dict[str, Any]:
         """The buffer."""
         buffers = [buffer.state_dict() for buffer in self._buffers]
-        return {
-            "x": self._x,
-            "losses": self._losses,
-            "buffers": buffers,
-            "screening": self.screening,
-        }
+        found = {"x": self._x, "losses": self._losses, "screening": self.screening}
+        return found | {"buffers": buffers}
 
     def load_state_dict(self, state: Mapping[str, Any], sides: Sides | None = None) -> None:
         """Put back what `state_dict` gave; ValueError if it is none.
@@ -265,7 +261,7 @@ class LinearProposer(Previewed, ProposerDefaults):
         self.screening = state["screening"]
         self._x, self._losses = state["x"], state["losses"]
         for buffer, saved in zip(self._buffers, state["buffers"], strict=True):
-            buffer.load_state_dict(saved, own["n"], (sides or {}).get("T"))
+            buffer.load_state_dict(saved, {**(sides or {}), "n": own["n"]})
 
 
 def _correct(buffer: FeatureBuffer, fit: _Regression, sources: Indices, target: Tensor) -> Float64:

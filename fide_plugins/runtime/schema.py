@@ -15,9 +15,9 @@ of arrays have names.  A name stands for the same number wherever it appears: ar
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import field, fields
-from typing import Any, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 
@@ -63,6 +63,31 @@ def form(kind: type) -> dict[str, Schema]:
 def values(instance: Any) -> dict[str, Any]:
     """Those fields of an instance, by name; not copies."""
     return {name: getattr(instance, name) for name in form(type(instance))}
+
+
+class Stateful:
+    """An object that saves those of its attributes that are in SCHEMA.
+
+    SCHEMA: what each must be like, by name; a private attribute is there without its underscore.
+    """
+
+    SCHEMA: ClassVar[dict[str, Schema]]
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that changes, those values in use, not copies."""
+        return {name: getattr(self, self._attribute(name)) for name in self.SCHEMA}
+
+    def load_state_dict(self, state: Mapping[str, Any], sides: Sides | None = None) -> None:
+        """Put back what `state_dict` gave; ValueError for what it cannot have given.
+
+        sides: of arrays, by their names in the schema, as far as they are known.
+        """
+        check(state, self.SCHEMA, dict(sides or {}), type(self).__name__.lower())
+        for name in self.SCHEMA:
+            setattr(self, self._attribute(name), state[name])
+
+    def _attribute(self, name: str) -> str:
+        return f"_{name}" if hasattr(self, f"_{name}") else name
 
 
 def whole(low: int = 0, high: int = 2**63) -> Rule:

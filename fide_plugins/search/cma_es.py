@@ -32,11 +32,11 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
-from fide_plugins.runtime.schema import Schema, array, check, maybe, real, side, whole
+from fide_plugins.runtime.schema import Schema, Stateful, array, check, maybe, real, side, whole
 from fide_plugins.types import Float64, Mask
 
 __all__ = ["CMAES", "TwoPoint", "are_many", "default_popsize"]
@@ -44,11 +44,16 @@ __all__ = ["CMAES", "TwoPoint", "are_many", "default_popsize"]
 _MEMORY = 0.3  # weight of the newest comparison
 
 
-class TwoPoint:
+class TwoPoint(Stateful):
     """Whether the last steps of the mean went far enough.
 
     dim: d, the number of parameters.
     """
+
+    SCHEMA: ClassVar[dict[str, Schema]] = {
+        "shift": array("d", low=-1e60, high=1e60),
+        "trend": real(-1.0, 1.0),
+    }
 
     def __init__(self, dim: int) -> None:
         self.damping = 0.7 + 2 * np.log(dim)
@@ -77,16 +82,8 @@ class TwoPoint:
             return 1.0
         ahead, against = (float(np.mean(losses < losses[i])) for i in pair)  # ranks in [0, 1)
         lead = (against - ahead) * len(losses) / (len(losses) - 1)  # in [-1, 1]
-        self.trend += _MEMORY * (np.sign(lead) * np.sqrt(abs(lead)) - self.trend)
+        self.trend += _MEMORY * float(np.sign(lead) * np.sqrt(abs(lead)) - self.trend)
         return float(np.exp(self.trend / self.damping))
-
-    def state_dict(self) -> dict[str, Any]:
-        """Everything that changes."""
-        return {"shift": self.shift, "trend": float(self.trend)}
-
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Put back what `state_dict` gave."""
-        self.shift, self.trend = state["shift"], float(state["trend"])
 
 
 _TINY = 1e-300
@@ -105,7 +102,7 @@ _SCHEMA: Schema = {
     "largest_std": real(0.0, np.inf),
     "B": array("d", "d", low=-1.01, high=1.01),
     "D": array("d", low=1e-30, high=1e6),
-    "two_point": maybe({"shift": array("d", low=-1e60, high=1e60), "trend": real(-1.0, 1.0)}),
+    "two_point": maybe(TwoPoint.SCHEMA),
 }
 _WIDE_ENOUGH = 1 / 3  # of the box, in which such samples are nearly uniform
 _OUTLIER = 10.0  # times the longest step that a sample may have; none ever is as long

@@ -21,15 +21,23 @@ optimum itself, or by little of what a random permutation of the parameters chan
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
-import numpy.typing as npt
-from scipy.optimize import linear_sum_assignment
 
 from fide_plugins.errors import OptionError
 from fide_plugins.population.candidate import TrainingSample
-from fide_plugins.runtime.schema import Schema, Sides, array, check, flag, maybe, whole
+from fide_plugins.runtime.schema import (
+    Schema,
+    Sides,
+    Stateful,
+    anything,
+    array,
+    check,
+    flag,
+    maybe,
+    whole,
+)
 from fide_plugins.search import mixed
 from fide_plugins.search.scene import Axes
 from fide_plugins.types import Float64, Indices, Mask
@@ -44,7 +52,7 @@ _SEEN = 3.0  # times as much again that a control must change
 _ROUNDING = 1e-8  # of the change by a permutation: what rounding may change
 _LITTLE = 0.15  # of that change: what an order of painting may change
 _EQUAL = 2.0  # times the least change: layouts that hold as well
-_SETTLED = 3  # rounds
+_FINISHED = 3  # rounds
 _DECLARED = 4  # nothing is to be found; repeats say what noise is
 
 
@@ -78,14 +86,23 @@ def _whole(value: object) -> int:
     return int(value)
 
 
-class Exchangeability:
+class Exchangeability(Stateful):
     """Layout of exchangeable blocks, and the tests that find it.
 
     dim: d.
     channels: leading channels of the tokens in which images are compared; None: all.
     groups: declared blocks; None: to be found; empty: there are none.
     axes: which of them are one parameter or periodic; None: each is a parameter with walls.
+    blocks: layout (n, L); None where none is known.
+    ordered: whether the order of blocks shows a little, as painting does.
     """
+
+    SCHEMA: ClassVar[dict[str, Schema]] = {
+        "round": whole(0, _DECLARED),
+        "ordered": flag,
+        "blocks": anything,
+        "found": anything,
+    }
 
     def __init__(
         self,
@@ -97,9 +114,7 @@ class Exchangeability:
         self.dim, self.channels = dim, channels
         self._axes = axes or Axes(dim)
         self.blocks: Indices | None = None
-        """Layout (n, L); None where none is known."""
         self.ordered = False
-        """Whether the order of blocks shows a little, as painting does."""
         self._round = 0
         self._found: Indices | None = None  # tested closely: a pair, or all blocks
         if groups is not None:
@@ -108,9 +123,9 @@ class Exchangeability:
                 self.blocks, self.ordered = check_groups(groups, dim), True
 
     @property
-    def settled(self) -> bool:
+    def finished(self) -> bool:
         """Whether there is nothing more to test."""
-        return self._round == _SETTLED
+        return self._round == _FINISHED
 
     @property
     def leftovers(self) -> Indices:
@@ -130,14 +145,14 @@ class Exchangeability:
         if self.blocks is None:
             return float(difference.max())
         costs = self._costs(x, y)
-        matched = costs[linear_sum_assignment(costs)].max()
+        matched = costs[_matched(costs)].max()
         return float(max(matched, difference[self.leftovers].max(initial=0.0)))
 
     def aligned(self, x: Float64, y: Float64) -> Float64:
         """Copy of x (d,) with its blocks in the order that is nearest to y (d,), see `distance`."""
         aligned = x.copy()
         if self.blocks is not None:
-            rows, places = linear_sum_assignment(self._costs(x, y))
+            rows, places = _matched(self._costs(x, y))
             aligned[self.blocks[places]] = x[self.blocks[rows]]
         return aligned
 
@@ -173,7 +188,7 @@ class Exchangeability:
         place: what became of these points before they were rendered.
         """
         if self._round == _DECLARED:
-            self._round = _SETTLED
+            self._round = _FINISHED
             return
         plan = place(self.draw(incumbent.x))
         changes = _changes(plan, incumbent, samples, self.channels)
@@ -191,7 +206,7 @@ class Exchangeability:
     ) -> None:
         """Take the shortest layout among those that hold best; go to the next round."""
         self._round += 1
-        if self._round == _SETTLED:
+        if self._round == _FINISHED:
             assert self._found is not None
             members = [layout[1:] for layout, held in zip(layouts, holds, strict=True) if held]
             if len(members):
@@ -204,12 +219,12 @@ class Exchangeability:
             self.ordered = bool(changes[holds].min() > exact)
             self._take(layout)
         elif self._round == 2:
-            self._round = _SETTLED
+            self._round = _FINISHED
 
     def _take(self, layout: Indices) -> None:
         """Use a layout, or test it closely."""
         if self._round == 1 and not self.ordered:
-            self.blocks, self._round = layout, _SETTLED
+            self.blocks, self._round = layout, _FINISHED
         else:
             self._found, self._round = layout, 2
 
@@ -231,36 +246,21 @@ class Exchangeability:
             layouts = member_layouts(self.dim, self._found)
         return [layout for layout in layouts if self._axes.whole(layout)]
 
-    def state_dict(self) -> dict[str, Any]:
-        """Everything that changes."""
-        return {
-            "round": self._round,
-            "ordered": self.ordered,
-            "blocks": None if self.blocks is None else self.blocks.astype(np.int64),
-            "found": None if self._found is None else self._found.astype(np.int64),
-        }
-
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+    def load_state_dict(self, state: Mapping[str, Any], sides: Sides | None = None) -> None:
         """Put back what `state_dict` gave; raises ValueError for what it cannot have given."""
-        sides: Sides = {"d": self.dim}
-        check(state, _form(self.dim), sides, "exchangeability")
+        for name in ("blocks", "found"):
+            within = maybe(array(name, "length", kind="i", low=0, high=self.dim - 1))
+            check(state[name], within, {}, f"exchangeability[{name!r}]")
         if state["round"] == 2 and state["found"] is None:
             raise ValueError("exchangeability['found'] is None, and blocks are tested against it")
-        self._round, self.ordered = state["round"], state["ordered"]
-        self.blocks, self._found = _layout(state["blocks"]), _layout(state["found"])
+        super().load_state_dict(state)
 
 
-def _form(dim: int) -> Schema:
-    return {
-        "round": whole(0, _DECLARED),
-        "ordered": flag,
-        "blocks": maybe(array("blocks", "length", kind="i", low=0, high=dim - 1)),
-        "found": maybe(array("pair", "shorter", kind="i", low=0, high=dim - 1)),
-    }
+def _matched(costs: Float64) -> tuple[Indices, Indices]:
+    """Rows and columns of the assignment with the least sum of costs (n, n)."""
+    from scipy.optimize import linear_sum_assignment  # most scenes have no blocks
 
-
-def _layout(saved: npt.NDArray[np.int64] | None) -> Indices | None:
-    return None if saved is None else saved.astype(np.intp)
+    return linear_sum_assignment(costs)  # type: ignore[no-any-return]
 
 
 def whole_layouts(dim: int) -> list[Indices]:

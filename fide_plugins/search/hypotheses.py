@@ -36,11 +36,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
-from fide_plugins.runtime.schema import Schema, array, check, maybe, real
+from fide_plugins.runtime.schema import Schema, Sides, Stateful, array, maybe, real
 from fide_plugins.search.exchangeability import Exchangeability
 from fide_plugins.search.moves import Known, Move, Stage, Start
 from fide_plugins.search.scene import Axes
@@ -152,15 +152,9 @@ _H_NEAREST = 0.1  # of all hypotheses, whose spread says how wide a search begin
 _BETTER = 0.1  # of the typical loss
 _H_NARROWEST, _WIDEST, _WIDEST_SET = 0.02, 1 / 6, 0.06  # standard deviations
 _NARROWEST_REFINED = 0.006  # descents through an emulator end near each other
-_SCHEMA: dict[str, Schema] = {
-    "x": array("n", "d", low=0.0, high=1.0),
-    "refined": array("refined", "d", low=0.0, high=1.0),
-    "waiting": array("waiting", "d", low=0.0, high=1.0),
-    "typical": maybe(real()),
-}
 
 
-class Hypotheses(Move):
+class Hypotheses(Move, Stateful):
     """Points of the cube that a model takes for possible; none without a model.
 
     posterior: draws x (n, d), which say how probable an answer is, and refined points.
@@ -171,6 +165,12 @@ class Hypotheses(Move):
     name = "learned"
     from_incumbent = False
     has_more = False
+    SCHEMA: ClassVar[dict[str, Schema]] = {
+        "x": array("n", "d", low=0.0, high=1.0),
+        "refined": array("refined", "d", low=0.0, high=1.0),
+        "waiting": array("waiting", "d", low=0.0, high=1.0),
+        "typical": maybe(real()),
+    }
 
     def __init__(
         self,
@@ -208,7 +208,7 @@ class Hypotheses(Move):
         return len(self._waiting) > 0
 
     @property
-    def brisk_above(self) -> float | None:
+    def strict_above(self) -> float | None:
         """Loss above which a search is no better than a start: a part of the typical one.
 
         None where that is unknown, or not positive: losses of the user's own may be of any sign.
@@ -273,7 +273,7 @@ class Hypotheses(Move):
 
     def begin_at(self, known: Known, x: Float64) -> Start:
         """Begin at x (d,), as wide as the hypotheses around it."""
-        return Start(x, self._spread(x, known), brisk_above=self.brisk_above)
+        return Start(x, self._spread(x, known), strict_above=self.strict_above)
 
     def _spread(self, x: Float64, known: Known) -> Float64:
         """Standard deviations (d,) around x (d,) of the hypotheses that are nearest to it.
@@ -295,23 +295,11 @@ class Hypotheses(Move):
         """Whether a candidate x (d,), as it was rendered, is one of the points (n, d)."""
         return bool((self._place(points) == x).all(axis=1).any())
 
-    def state_dict(self) -> dict[str, Any]:
-        """All of it."""
-        return {
-            "x": self.x,
-            "refined": self._refined,
-            "waiting": self._waiting,
-            "typical": self.typical,
-        }
-
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+    def load_state_dict(self, state: Mapping[str, Any], sides: Sides | None = None) -> None:
         """Put back what `state_dict` gave; raises ValueError for what it cannot have given."""
-        dim = self._dim
-        check(state, _SCHEMA, {"d": dim}, "moves['hypotheses']")
-        self.x = state["x"].reshape(-1, dim)
-        self._refined = state["refined"].reshape(-1, dim)
-        self._waiting = state["waiting"].reshape(-1, dim)
-        self.typical = state["typical"]
+        super().load_state_dict(state, {"d": self._dim})
+        for name in ("x", "_refined", "_waiting"):
+            setattr(self, name, getattr(self, name).reshape(-1, self._dim))
 
 
 _AGREE = 0.05  # of the unit cube: the same in a parameter
@@ -367,7 +355,7 @@ class Resample(Move):
 
     def _open(self, known: Known) -> list[tuple[Indices, Float64]]:
         """Parameters that are open: axes, and what (m, axes) hypotheses have there, sorted."""
-        here, x = known.here.x, self._hypotheses.x
+        here, x = known.current.x, self._hypotheses.x
         apart = known.axes.difference(x, here)
         parameters = known.axes.axes_of
         agree = np.column_stack([apart[:, axes].max(axis=1) <= _AGREE for axes in parameters])
@@ -384,4 +372,4 @@ class Resample(Move):
     def begin_at(self, known: Known, x: Float64) -> Start:
         """Wide in what was drawn, narrow in what was found before."""
         start = known.start_at(x, wide=_WIDE, narrow=_NARROW)
-        return replace(start, brisk_above=self._hypotheses.brisk_above)
+        return replace(start, strict_above=self._hypotheses.strict_above)

@@ -53,12 +53,13 @@ the means of a block, which would wander off together, are centered.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from collections.abc import Sequence
+from typing import ClassVar, Protocol
 
 import numpy as np
 from scipy.special import ndtr, ndtri
 
+from fide_plugins.runtime.schema import Schema, Stateful, array
 from fide_plugins.search.cma_es import CMAES
 from fide_plugins.types import Float64, Mask
 
@@ -208,11 +209,13 @@ def periodic_axes(layout: AxisLayout | None) -> Mask | None:
     return None if layout is None or not layout.periodic.any() else layout.periodic
 
 
-class Mixed:
+class Mixed(Stateful):
     """The maps between z and x, and the margin.
 
     layout: None where every parameter is a number with walls.
     """
+
+    SCHEMA: ClassVar[dict[str, Schema]] = {"A": array("axes", low=1e-30, high=1e30)}
 
     def __init__(self, layout: AxisLayout | None) -> None:
         self.layout = layout
@@ -275,11 +278,3 @@ class Mixed:
             mean[block] = correct_choice(mean[block], cov, alpha)
         self.A = np.where(self._discrete, stretched / std, 1.0)
         distribution.mean = mean
-
-    def state_dict(self) -> dict[str, Any]:
-        """Everything that changes."""
-        return {"A": self.A}
-
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Put back what `state_dict` gave."""
-        self.A = state["A"]

@@ -21,17 +21,18 @@ import numpy as np
 from torch import Tensor
 
 from fide_plugins.population.candidate import TrainingSample
+from fide_plugins.runtime.schema import array, flag, maybe, real, saved, whole
 from fide_plugins.search.exchangeability import Exchangeability
 from fide_plugins.search.scene import APART, Axes, Optima, Removal, Sensitivity, Values
 from fide_plugins.types import Float64, Indices, Mask
 
 __all__ = [
-    "BeginAnew",
     "ChangeValue",
     "Crossover",
     "HalfTurn",
     "Known",
     "Move",
+    "RandomRestart",
     "Refine",
     "RelocateGroup",
     "RelocateSegment",
@@ -62,20 +63,20 @@ class Start:
     mean, std: (d,), of its first distribution.
     population: its population size in units of the run's.
     patience: generations without progress that end it, in units of the run's.
-    brisk_above: loss above which it has to be quick, see `one_search`; None: it may be slow.
+    strict_above: loss above which it has to be quick, see `one_search`; None: it may be slow.
     widest: mean standard deviation that it may come to, in units of that of its beginning.
     to_the_end: whether it goes on where other searches have collapsed, see `one_search`.
-    held: (d,), axes that keep their coordinates in the mean during the search; None: none.
+    fixed: (d,), axes that keep their coordinates in the mean during the search; None: none.
     """
 
-    mean: Float64
-    std: Float64
-    population: int = 1
-    patience: int = 1
-    brisk_above: float | None = None
-    widest: float = 1.0
-    to_the_end: bool = False
-    held: Mask | None = None
+    mean: Float64 = saved(array("d", low=0.0, high=1.0))
+    std: Float64 = saved(array("d", low=0.0, high=1e6))
+    population: int = saved(whole(1, 2**10), default=1)
+    patience: int = saved(whole(1, 100), default=1)
+    strict_above: float | None = saved(maybe(real()), default=None)
+    widest: float = saved(real(1.0), default=1.0)
+    to_the_end: bool = saved(flag, default=False)
+    fixed: Mask | None = saved(maybe(array("d", kind="b")), default=None)
 
 
 @dataclass(kw_only=True, slots=True)
@@ -117,20 +118,20 @@ class Known:
         return len(self.x0)
 
     @property
-    def here(self) -> TrainingSample:
+    def current(self) -> TrainingSample:
         """The incumbent, which must be there."""
         if self.incumbent is None:
             raise RuntimeError("no move leaves a local optimum before there is one")
         return self.incumbent
 
-    def is_elsewhere(self, begun: Float64, ended: Float64) -> bool:
-        """Whether a search that left the incumbent began elsewhere than it ended, (d,) each.
+    def began_apart(self, begun: Float64, ended: Float64) -> bool:
+        """Whether a search that left the incumbent began apart from where it ended, (d,) each.
 
         So it is evidence of where it ended.  More than half of all parameters must have been
         changed, and be apart: what keeps most of them, right or wrong, comes back to them.
         """
         axes = self.axes
-        moved = np.unique(axes.parameter_of[begun != self.here.x])
+        moved = np.unique(axes.parameter_of[begun != self.current.x])
         if 2 * len(moved) <= len(axes.axes_of):
             return False
         apart = axes.difference(begun, self.exchangeability.aligned(ended, begun))
@@ -138,7 +139,7 @@ class Known:
 
     def copies(self, n: int) -> Float64:
         """Copies (n, d) of the incumbent's parameters."""
-        return np.tile(self.here.x, (n, 1))
+        return np.tile(self.current.x, (n, 1))
 
     def start_at(self, x: Float64, wide: float = WIDE, narrow: float = NARROW) -> Start:
         """Start at a restart candidate (d,): wide where it differs from the incumbent.
@@ -146,7 +147,7 @@ class Known:
         wide, narrow: standard deviations in units of sigma0.
         """
         std = narrow * self.sigma0
-        moved = self.axes.together(np.flatnonzero(x != self.here.x))
+        moved = self.axes.together(np.flatnonzero(x != self.current.x))
         std[moved] = wide * self.sigma0[moved]
         return Start(x, std)
 
@@ -161,6 +162,7 @@ class Move(ABC):
         otherwise the policy says when it is due.
     has_goal: whether its search is over when it has no hope to become better than the incumbent.
     has_more: whether `draw` gives other candidates each time, which are as good as the first ones.
+    wide: standard deviation in the parameters that were changed, in units of sigma0.
     """
 
     name: ClassVar[str]
@@ -168,6 +170,7 @@ class Move(ABC):
     from_incumbent: ClassVar[bool] = True
     has_goal: ClassVar[bool] = True
     has_more: ClassVar[bool] = True
+    wide: ClassVar[float] = WIDE
 
     @abstractmethod
     def possible(self, known: Known) -> bool:
@@ -181,18 +184,18 @@ class Move(ABC):
     def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
         """Draw restart candidates, (n, d) in [0, 1]; fewer where the move has no more."""
 
-    @abstractmethod
     def begin_at(self, known: Known, x: Float64) -> Start:
         """Return where the search begins, given the best restart candidate x (d,)."""
+        return known.start_at(x, self.wide)
 
     def note_begun(self, known: Known, x: Float64) -> None:  # noqa: B027 - most moves need no note
         """Note in `known` that a search begins at x (d,); for moves that do not go there twice."""
 
 
 class RelocateGroup(Move):
-    """Groups by exchangeability or sensitivity, drawn by their size.
+    """A parameter group at a random place: groups by exchangeability or sensitivity, by their size.
 
-    A parameter group at a random place is right where nothing else is known of the scene.
+    It is right where nothing else is known of the scene.
     """
 
     name = "relocate group"
@@ -223,21 +226,16 @@ class RelocateGroup(Move):
         leftovers = known.exchangeability.leftovers
         return [*blocks, *([leftovers] if len(leftovers) else [])]
 
-    def begin_at(self, known: Known, x: Float64) -> Start:
-        """Wide in the group, narrow elsewhere."""
-        return known.start_at(x)
-
 
 class Swap(Move):
-    """Values of one block to another, and back.
-
-    Two exchangeable blocks with their values exchanged: another order of painting.
+    """Two exchangeable blocks with their values exchanged: another order of painting.
 
     Only where the order of blocks shows (`Exchangeability.ordered`): elsewhere the image is the
     same.
     """
 
     name = "swap"
+    wide = NARROW  # the values are those of a local optimum
 
     def possible(self, known: Known) -> bool:
         """Whether there are blocks whose order shows."""
@@ -253,18 +251,14 @@ class Swap(Move):
             row[a], row[b] = row[b], row[a]
         return x
 
-    def begin_at(self, known: Known, x: Float64) -> Start:
-        """Narrow everywhere: the values are those of a local optimum."""
-        return known.start_at(x, wide=NARROW)
-
 
 _SMALLEST, _LARGEST = 0.03, 0.5  # standard deviation of a difference, log-uniform
 
 
 class Split(Move):
-    """Donor := source + N(0, s^2), s log-uniform for each parameter.
+    """A redundant block becomes a copy of one that has too much to do.
 
-    A redundant block becomes a copy of one that has too much to do.
+    Donor := source + N(0, s^2), s log-uniform for each parameter.
 
     Local optima of exchangeable things have a known shape: several things of the scene stand for
     one of the target's, and one stands for several, as centers do in k-means (Qian et al. 2020,
@@ -295,7 +289,7 @@ class Split(Move):
         removal = known.removal
         rank = np.argsort(np.argsort(removal.costs, kind="stable"), kind="stable")
         cheap = np.exp(-rank.astype(np.float64))
-        residual = removal.residual(known.here, known.target, known.channels) + 1e-300
+        residual = removal.residual(known.current, known.target, known.channels) + 1e-300
         x = known.copies(n)
         spread = np.exp(rng.uniform(np.log(_SMALLEST), np.log(_LARGEST), (n, blocks.shape[1])))
         jitter = spread * rng.standard_normal((n, blocks.shape[1]))
@@ -307,21 +301,15 @@ class Split(Move):
             row[blocks[donor]] = row[blocks[source]] + difference
         return known.axes.inside(x)
 
-    def begin_at(self, known: Known, x: Float64) -> Start:
-        """Wide in the donor, narrow elsewhere."""
-        return known.start_at(x)
 
-
-_SEGMENTS_WIDTH = 1 / 4  # of sigma0, in the parameters from another optimum, or that were turned
+_OTHERS = 1 / 4  # of sigma0, in the parameters from another optimum, or that were turned
 
 
 class RelocateSegment(Move):
-    """Segments of neighboring parameters, of any length up to half of all.
+    """A segment of neighboring parameters at a random place: up to half of all.
 
-    A segment of neighboring parameters at a random place, where nothing says what belongs together.
-
-    That is for scenes in which parameters act on one another: the joints of an arm all move the
-    hand.
+    That is for scenes in which parameters act on one another, and nothing says what belongs
+    together: the joints of an arm all move the hand.
     """
 
     name = "relocate segment"
@@ -338,10 +326,6 @@ class RelocateSegment(Move):
             row[chosen] = rng.random(len(chosen))
         return x
 
-    def begin_at(self, known: Known, x: Float64) -> Start:
-        """Wide in the segment, narrow elsewhere."""
-        return known.start_at(x)
-
 
 def segment(dim: int, rng: np.random.Generator) -> Indices:
     """Draw neighboring parameters: a length log-uniform in [1, d / 2], any place."""
@@ -353,8 +337,6 @@ def segment(dim: int, rng: np.random.Generator) -> Indices:
 class Crossover(Move):
     """A segment of the incumbent, and all else of another optimum, or the other way round.
 
-    A segment of parameters from another local optimum.
-
     Several descents of one scene end in several places, each right in something else: one has the
     shoulder of an arm right, one the wrist. Their children have both (HG-means does so for
     clusters, Gribel and Vidal 2019, arXiv:1804.09813). Where blocks are exchangeable the same block
@@ -362,13 +344,14 @@ class Crossover(Move):
     """
 
     name = "crossover"
+    wide = _OTHERS
 
     def possible(self, known: Known) -> bool:
         """Whether another local optimum is known, and no blocks are exchangeable."""
         return known.exchangeability.blocks is None and len(self._others(known)) > 0
 
     def _others(self, known: Known) -> list[Float64]:
-        here = known.here.x
+        here = known.current.x
         every = [optimum.sample.x for optimum in known.optima.all]
         return [x for x in every if not np.array_equal(x, here)]
 
@@ -388,18 +371,12 @@ class Crossover(Move):
             row[chosen] = other[chosen]
         return x
 
-    def begin_at(self, known: Known, x: Float64) -> Start:
-        """Wider in what comes from elsewhere."""
-        return known.start_at(x, wide=_SEGMENTS_WIDTH)
-
 
 _LONGEST = 0.58  # half a turn in units of the box, for a range of 310 degrees
 
 
 class HalfTurn(Move):
-    """One to three neighbors, alternately turned by half a turn and mirrored.
-
-    Angles that look alike: half a turn away, mirrored, or both.
+    """Angles that look alike: one to three neighbors, half a turn away, mirrored, or both.
 
     Much that is turned looks nearly the same after half a turn, so that a search settles on the
     wrong side. And a rotation has two descriptions by three angles, (a, b, c) and (a + 180°, -b, c
@@ -413,6 +390,7 @@ class HalfTurn(Move):
     """
 
     name = "half turn"
+    wide = _OTHERS  # the ranges of the angles are a guess
 
     def possible(self, known: Known) -> bool:
         """Whether there is anything continuous, and no blocks are exchangeable."""
@@ -432,10 +410,6 @@ class HalfTurn(Move):
                 else:
                     row[axis] += (1.0 if row[axis] < 0.5 else -1.0) * _half(known, axis, rng)
         return known.axes.inside(x)
-
-    def begin_at(self, known: Known, x: Float64) -> Start:
-        """Wider in what was turned: the ranges of the angles are a guess."""
-        return known.start_at(x, wide=_SEGMENTS_WIDTH)
 
 
 def _continuous(known: Known) -> Indices:
@@ -461,11 +435,11 @@ class ChangeValue(Move):
 
     def possible(self, known: Known) -> bool:
         """Whether an integer or a choice has another value."""
-        return len(known.values.others(known.here.x)) > 0
+        return len(known.values.others(known.current.x)) > 0
 
     def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
         """Copies (n or fewer, d) of the incumbent, with values that were searched least often."""
-        others = known.values.others(known.here.x)
+        others = known.values.others(known.current.x)
         searches = known.values.searches(others)
         least = others[searches == searches.min()]
         return least if len(least) <= n else rng.permutation(least)[:n]
@@ -473,10 +447,10 @@ class ChangeValue(Move):
     def begin_at(self, known: Known, x: Float64) -> Start:
         """Hold the value that was changed; be narrow in all others, and wider in numbers."""
         width = np.where(known.values.discrete, NARROW, _VALUE_WIDTH)
-        held = np.zeros(known.dim, bool)
-        held[known.axes.together(np.flatnonzero(x != known.here.x))] = True
-        held &= known.values.discrete  # x may be another point of the user's, with other numbers
-        return Start(x, width * known.sigma0, held=held)
+        fixed = np.zeros(known.dim, bool)
+        fixed[known.axes.together(np.flatnonzero(x != known.current.x))] = True
+        fixed &= known.values.discrete  # x may be another point of the user's, with other numbers
+        return Start(x, width * known.sigma0, fixed=fixed)
 
     def note_begun(self, known: Known, x: Float64) -> None:
         """Count a search with the values of x (d,)."""
@@ -488,10 +462,8 @@ _RESTARTS_WIDTH = 0.6  # of sigma0, around the best of the random places
 _MOST_DOUBLINGS = 6
 
 
-class BeginAnew(Move):
-    """Random places, and the distribution around the best of them.
-
-    A new search, from a random place.
+class RandomRestart(Move):
+    """A new search, from a random place.
 
     Where images guide the search, the best of some random places is where it begins. By losses only
     it is CMA-ES with two kinds of restarts in turn (after BIPOP; Hansen 2009, "Benchmarking a
@@ -503,7 +475,7 @@ class BeginAnew(Move):
     parameters have no walls.
     """
 
-    name = "begin anew"
+    name = "random restart"
     from_incumbent = False
     has_goal = False
 
@@ -525,7 +497,7 @@ class BeginAnew(Move):
         """Begin around one of them."""
         return Start(x, _RESTARTS_WIDTH * known.sigma0)
 
-    def begin_without_images(self, known: Known, number: int, rng: np.random.Generator) -> Start:
+    def start_without_images(self, known: Known, number: int, rng: np.random.Generator) -> Start:
         """Begin a search by losses only, the `number`-th, from 1.
 
         Odd ones double the population; even ones have the first population and a narrow beginning,
@@ -538,7 +510,7 @@ class BeginAnew(Move):
         return Start(mean, known.sigma0 / widest, widest=widest)
 
 
-class Coarsen(BeginAnew):
+class Coarsen(RandomRestart):
     """A new search from a random place that begins coarse: chosen by its gains, as moves are."""
 
     name = "coarsen"
@@ -560,9 +532,7 @@ _PATIENCE = 3  # times that of other searches
 
 
 class Refine(Move):
-    """A narrow search around the incumbent, once for each.
-
-    The incumbent itself, searched closely: it may not have been at the end of its search.
+    """The incumbent itself, searched closely, once: it may not have been at the end of its search.
 
     A search is over soon, so that the next move can begin, and what it found is mostly not as good
     as it could be. This move goes on with more patience and a narrow distribution, once an optimum
@@ -577,7 +547,7 @@ class Refine(Move):
 
     def possible(self, known: Known) -> bool:
         """Whether the incumbent was left in vain, and was not refined yet."""
-        optimum = known.optima.of(known.here)
+        optimum = known.optima.of(known.current)
         return optimum is not None and optimum.failures > 0 and not optimum.refined
 
     def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
@@ -588,10 +558,10 @@ class Refine(Move):
     def begin_at(self, known: Known, x: Float64) -> Start:
         """Begin at the incumbent."""
         width = _NARROW * known.sigma0
-        return Start(known.here.x, width, patience=_PATIENCE, to_the_end=True)
+        return Start(known.current.x, width, patience=_PATIENCE, to_the_end=True)
 
     def note_begun(self, known: Known, x: Float64) -> None:
         """Do not refine this optimum again."""
-        optimum = known.optima.of(known.here)
+        optimum = known.optima.of(known.current)
         if optimum is not None:
             optimum.refined = True

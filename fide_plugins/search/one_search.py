@@ -9,7 +9,7 @@ the box wide, which is exact enough for another search to begin; one that goes *
 collapses only where its samples are one point, for any renderer.  It is *hopeless* when it has a
 loss to beat and, at the rate of its last generations, will not.
 
-A search from hypotheses of a learned model has to be *brisk* as long as its loss is still high: in
+A search from hypotheses of a learned model has to be *quick* as long as its loss is still high: in
 the right place it loses a third in every few generations.
 
 That is for a search that images guide: it is quick, and moves have a use for what it found.  A
@@ -23,7 +23,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -33,8 +33,10 @@ from fide_plugins.runtime.schema import Schema, anything, array, check, whole
 from fide_plugins.search.cma_es import CMAES
 from fide_plugins.search.mixed import AxisLayout, Mixed
 from fide_plugins.search.moves import Start
-from fide_plugins.search.validity import Validity
 from fide_plugins.types import Float64
+
+if TYPE_CHECKING:
+    from fide_plugins.search.validity import Validity
 
 __all__ = [
     "Search",
@@ -52,7 +54,7 @@ _CONVERGED = 1e-11  # of sigma0; `cma`: tolx
 _RATE_OVER = 3  # generations
 _HORIZON = 8  # generations in which the loss to beat must be within reach
 _BENEFIT_OF_DOUBT = 6  # generations
-_BRISK_PATIENCE, _BRISK_IMPROVEMENT = 7 / 5, 0.3  # in units of the patience; share of the loss
+_STRICT_PATIENCE, _STRICT_IMPROVEMENT = 7 / 5, 0.3  # in units of the patience; share of the loss
 
 
 def default_patience(dim: int, popsize: int) -> int:
@@ -99,7 +101,7 @@ class Termination:
     patience, improvement: of `has_stalled`.
     goal: loss that the search has to beat; +inf for none.
     loss_only_patience: generations without any improvement that end it where no image guides it.
-    brisk_above: loss above which it has to be brisk; +inf for none.
+    strict_above: loss above which it has to be quick; +inf for none.
     to_the_end: whether it goes on until its samples are one point, for any renderer.
     """
 
@@ -111,12 +113,12 @@ class Termination:
         improvement: float,
         goal: float = np.inf,
         loss_only_patience: int = 100,
-        brisk_above: float = np.inf,
+        strict_above: float = np.inf,
         to_the_end: bool = False,
     ) -> None:
         self.sigma0, self.patience, self.improvement = sigma0, patience, improvement
         self.goal, self.loss_only_patience = goal, loss_only_patience
-        self.brisk_above = brisk_above
+        self.strict_above = strict_above
         self._narrowest = _TO_THE_END if to_the_end else _COLLAPSED
         self.history: list[float] = []
         """Best loss after each of the last generations, as many as anybody asks for."""
@@ -125,12 +127,12 @@ class Termination:
         """Note the losses (k,) of one generation."""
         before = self.history[-1] if self.history else np.inf
         self.history.append(min(before, float(np.min(losses))))
-        longest = max(self._brisk_patience, self.loss_only_patience, _BENEFIT_OF_DOUBT)
+        longest = max(self._strict_patience, self.loss_only_patience, _BENEFIT_OF_DOUBT)
         del self.history[: -1 - longest]
 
     @property
-    def _brisk_patience(self) -> int:
-        return round(_BRISK_PATIENCE * self.patience)
+    def _strict_patience(self) -> int:
+        return round(_STRICT_PATIENCE * self.patience)
 
     def is_over(self, std: Float64, *, guided: bool = True) -> bool:
         """Whether to look elsewhere.
@@ -141,8 +143,8 @@ class Termination:
             converged = bool((std < _CONVERGED * self.sigma0).all())
             return converged or has_stalled(self.history, self.loss_only_patience, 0.0)
         collapsed = bool((std < self._narrowest * self.sigma0).all())
-        if self.history and self.history[-1] > self.brisk_above:
-            stalled = has_stalled(self.history, self._brisk_patience, _BRISK_IMPROVEMENT)
+        if self.history and self.history[-1] > self.strict_above:
+            stalled = has_stalled(self.history, self._strict_patience, _STRICT_IMPROVEMENT)
         else:
             stalled = has_stalled(self.history, self.patience, self.improvement)
         return collapsed or stalled or is_hopeless(self.history, self.goal)
@@ -152,7 +154,7 @@ _MOST = 2**26  # candidates of a generation: the largest population, doubled as 
 _SCHEMA: Schema = {
     "popsize": whole(2, _MOST),
     "distribution": anything,  # which checks its own
-    "mixed": {"A": array("axes", low=1e-30, high=1e30)},
+    "mixed": anything,
     "history": array("h", high=np.inf),
 }
 
@@ -204,7 +206,7 @@ class Search:
             improvement=options.improvement,
             goal=goal,
             loss_only_patience=default_loss_only_patience(dim, self.popsize),
-            brisk_above=np.inf if start.brisk_above is None else start.brisk_above,
+            strict_above=np.inf if start.strict_above is None else start.strict_above,
             to_the_end=start.to_the_end,
         )
 
@@ -231,7 +233,7 @@ class Search:
 
     def _sample(self, n: int, rng: np.random.Generator) -> tuple[Float64, Float64]:
         z = self.distribution.sample(n, rng)
-        return self._held(self._mixed.into(z, self.mean)), z
+        return self._with_fixed(self._mixed.into(z, self.mean)), z
 
     def render_mean(self, mean: Float64) -> Float64:
         """Point (d,) of the cube that a mean (d,) stands for."""
@@ -247,20 +249,20 @@ class Search:
         return self._mixed.clipped(x)
 
     def place_proposals(self, x: Float64, z: Float64) -> Float64:
-        """Points of the cube for proposals x (n, d), with the values that this search holds.
+        """Points of the cube for proposals x (n, d), with the values that this search fixes.
 
         z: (n, d), samples of which they were made.
         """
-        x, validity = self._held(self.clipped(x)), self.setting.validity
+        x, validity = self._with_fixed(self.clipped(x)), self.setting.validity
         if validity is None:
             return x
-        sampled = self._held(self._mixed.into(z, self.mean))
+        sampled = self._with_fixed(self._mixed.into(z, self.mean))
         return validity.moved_back(x, sampled, self._start.mean)
 
-    def _held(self, x: Float64) -> Float64:
-        """Points (n, d) with the coordinates of the start on the axes that are held."""
-        held = self._start.held
-        return x if held is None else np.where(held, self._start.mean, x)
+    def _with_fixed(self, x: Float64) -> Float64:
+        """Points (n, d) with the coordinates of the start on the axes that are fixed."""
+        fixed = self._start.fixed
+        return x if fixed is None else np.where(fixed, self._start.mean, x)
 
     def closest(self, x: Float64) -> Float64:
         """Return the z (n, d) of points x (n, d) that is closest to the mean."""
@@ -297,9 +299,9 @@ class Search:
         return other
 
     def _correct(self) -> None:
-        """Apply the margin, and move the mean back to what is held."""
+        """Apply the margin, and move the mean back to what is fixed."""
         self._mixed.correct(self.distribution)
-        self.distribution.mean = self._held(self.distribution.mean)
+        self.distribution.mean = self._with_fixed(self.distribution.mean)
 
     def is_over(self, *, guided: bool) -> bool:
         """Whether to look elsewhere; guided: whether images guide the search."""
@@ -322,10 +324,10 @@ class Search:
         check(state, _SCHEMA, {}, "search")
         search = cls(start, goal, setting)
         k, axes = search.popsize, len(search._mixed.A)
-        if (state["popsize"], len(state["mixed"]["A"])) != (k, axes):
-            raise ValueError(f"a search of {state['popsize']} candidates, not {k}, or other axes")
+        if state["popsize"] != k:
+            raise ValueError(f"a search of {state['popsize']} candidates, not {k}")
         search.distribution = CMAES.from_state(state["distribution"], len(start.mean), k)
-        search._mixed.load_state_dict(state["mixed"])
+        search._mixed.load_state_dict(state["mixed"], {"axes": axes})
         search.termination.history = state["history"].tolist()
         return search
 

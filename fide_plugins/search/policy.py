@@ -15,7 +15,7 @@ or a new search (`scene.Optima`).
 
 With a learned model the run begins in RESTART, where its hypotheses are rendered; searches begin at
 the best of them before other moves are chosen (`hypotheses`).  After that, where no image says
-where to go on, the next search begins at once at a random place (`BeginAnew`).
+where to go on, the next search begins at once at a random place (`RandomRestart`).
 
 *A bandit chooses among moves.* The gain of a move is the fraction by which it lowered the loss, and
 0 where it failed.  Its rate is the gain per evaluation; old outcomes count less and less.  Moves
@@ -28,7 +28,7 @@ tried yet is taken to be good.  (pyribs schedules its emitters alike:
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -38,28 +38,27 @@ from fide_plugins.population.candidate import TrainingSample
 from fide_plugins.runtime.schema import (
     Schema,
     Sides,
-    array,
     check,
-    each,
     flag,
     form,
     maybe,
     real,
     row,
     text,
+    values,
     whole,
 )
 from fide_plugins.search.exchangeability import Exchangeability
 from fide_plugins.search.hypotheses import Hypotheses, Resample, elsewhere, probabilities
 from fide_plugins.search.mixed import AxisLayout, Mixed
 from fide_plugins.search.moves import (
-    BeginAnew,
     ChangeValue,
     Coarsen,
     Crossover,
     HalfTurn,
     Known,
     Move,
+    RandomRestart,
     Refine,
     RelocateGroup,
     RelocateSegment,
@@ -71,7 +70,7 @@ from fide_plugins.search.moves import (
 from fide_plugins.search.scene import Axes, Optima, Removal, Sensitivity, Values, changed
 from fide_plugins.types import Float64, Posterior
 
-__all__ = ["Choice", "MovePolicy", "Stage", "Start", "check_policy"]
+__all__ = ["Choice", "MovePolicy", "Stage", "Start"]
 
 _KEEP = 0.85  # of what is known, at each outcome of the same move
 _PRIOR_TRIES = 2.0  # that the prior gain is worth
@@ -126,61 +125,25 @@ class Choice:
         pair = row(real(_LEAST), real(_LEAST))
         check(state, {name: pair for name in self.names if name in state}, {}, "choice")
         gain, cost = (untried.copy() for untried in self._untried)
-        for name, values in state.items():
+        for name, (found, spent) in state.items():
             i = self.names.index(name)
-            gain[i], cost[i] = values
+            gain[i], cost[i] = found, spent
         self._gain, self._cost = gain, cost
 
 
-_UNIT = array("d", low=0.0, high=1.0)
-_SCHEMA: dict[str, Schema] = {
-    "stage": text,
+_PLAIN: dict[str, Schema] = {
     "move": maybe(text),
-    "start": {
-        "mean": _UNIT,
-        "std": array("d", low=0.0, high=1e6),
-        "population": whole(1, 2**10),
-        "patience": whole(1, 100),
-        "brisk_above": maybe(real()),
-        "widest": real(1.0),
-        "to_the_end": flag,
-        "held": maybe(array("d", kind="b")),
-    },
     "loss_only_searches": whole(),
     "guided": flag,
     "noise": maybe(real(0.0)),
-    "incumbent": maybe(form(TrainingSample)),
-    "optima": {
-        "samples": each(form(TrainingSample)),
-        "counts": each(row(whole(), whole(), whole(high=1))),
-        "descents": whole(),
-        "forgotten": whole(),
-    },
 }
-
-
-def check_policy(state: Mapping[str, Any], known: Known, moves: Mapping[str, Move]) -> None:
-    """Raise ValueError unless this can be the state of a policy for such a scene.
-
-    known: what is known of the scene at first.  moves: all moves by their names.
-    """
-    tokens, channels = known.target.shape
-    sides: Sides = {"d": known.dim, "T": tokens, "C": channels}
-    for name, schema in _SCHEMA.items():
-        check(state[name], schema, sides, f"moves[{name!r}]")
-    stage = Stage(state["stage"])
-    if state["move"] is not None and state["move"] not in moves:
-        raise ValueError(f"moves['move'] is {state['move']!r}, which is none of {', '.join(moves)}")
-    if stage in (Stage.RESTART, Stage.REMOVAL, Stage.SENSITIVITY) and state["move"] is None:
-        raise ValueError(f"moves['move'] is None in the stage {stage.value!r}")
-    free = stage is Stage.RESTART and not moves[state["move"]].from_incumbent
-    if stage is not Stage.SEARCH and not free and state["incumbent"] is None:
-        raise ValueError(f"moves['incumbent'] is None in the stage {stage.value!r}")
-    blocks = state["exchangeability"]["blocks"]
-    if stage is Stage.REMOVAL and blocks is None:
-        raise ValueError("moves['exchangeability']['blocks'] is None while blocks are removed")
-
-
+_SCHEMA: dict[str, Schema] = {
+    **_PLAIN,
+    "stage": text,
+    "start": dict(form(Start)),
+    "incumbent": maybe(form(TrainingSample)),
+}
+_FOUND = ("exchangeability", "removal", "sensitivity", "values")  # parts of `Known`
 _COST = 12.0  # generations that a move takes, roughly
 _CANDIDATES = 20  # restart candidates, at least
 _TOLERANCE = 3  # failures of an optimum after which the next one is tried, without blocks
@@ -229,10 +192,11 @@ class MovePolicy:
         )
         self._candidates = max(_CANDIDATES, popsize)
         self.hypotheses = Hypotheses(posterior, dim, sets=bool(groups), place=self.known.place)
-        self._refine, self._anew, self._resample = Refine(), BeginAnew(), Resample(self.hypotheses)
+        self._refine, self._restart = Refine(), RandomRestart()
+        self._resample = Resample(self.hypotheses)
         family: list[Move] = [
             Split(), Swap(), Crossover(), HalfTurn(), RelocateGroup(), RelocateSegment(),
-            Coarsen(), self._refine, self._anew,
+            Coarsen(), self._refine, self._restart,
         ]  # fmt: skip
         if self.known.values.discrete.any():
             family.append(ChangeValue())
@@ -246,7 +210,7 @@ class MovePolicy:
         self.noise: float | None = None
         """Standard deviation of the loss of the first local optimum; None: it was not measured."""
         self.loss_only_searches = 0
-        """Searches that began anew because losses, not images, said so."""
+        """Restarts because losses, not images, said so."""
         self.guided = True
         """Whether images said where to go on when the last search was over."""
 
@@ -308,10 +272,10 @@ class MovePolicy:
         if self.hypotheses.waiting:
             before = self.known.incumbent
             if found is not None:
-                self._settle(found, evaluations)
+                self._note_end(found, evaluations)
             if guided and self._refines():
                 self.move = self._refine.name
-                self._begin_at(self.known.here.x)
+                self._begin_at(self.known.current.x)
                 self.start = replace(self.start, to_the_end=False)  # other hypotheses wait
                 return self._go(Stage.SEARCH)
             if guided and self._resamples(before):
@@ -322,18 +286,18 @@ class MovePolicy:
             self.known.incumbent, self.guided = None, False
             self.loss_only_searches += 1
             number = self.loss_only_searches
-            self.start = self._anew.begin_without_images(self.known, number, self._rng)
-            self.move = self._anew.name
+            self.start = self._restart.start_without_images(self.known, number, self._rng)
+            self.move = self._restart.name
             return self._go(Stage.SEARCH)
-        self._settle(found, evaluations)
+        self._note_end(found, evaluations)
         return self._decide()
 
-    def _settle(self, found: TrainingSample, evaluations: int) -> None:
+    def _note_end(self, found: TrainingSample, evaluations: int) -> None:
         """Note what the move brought, and who is the incumbent."""
         known, incumbent = self.known, self.known.incumbent
         left = incumbent if self.move is not None and self._the_move.from_incumbent else None
-        elsewhere = left is None or known.is_elsewhere(self.start.mean, found.x)
-        best = known.optima.note(found, known.exchangeability.distance, from_elsewhere=elsewhere)
+        apart = left is None or known.began_apart(self.start.mean, found.x)
+        best = known.optima.note(found, known.exchangeability.distance, from_elsewhere=apart)
         if left is not None:
             self._choice.note(self._the_move.name, _gain(left.loss, found.loss), evaluations)
             if found.loss >= left.loss:
@@ -350,24 +314,24 @@ class MovePolicy:
     def _decide(self) -> Stage:
         """Choose the next move, and the stage that comes first."""
         known = self.known
-        if not known.exchangeability.settled:
+        if not known.exchangeability.finished:
             if known.incumbent is None:  # the last search began without images, and was no better
                 self._leave(known.optima.all[0].sample)
             return self._go(Stage.EXCHANGE)
         blocks = known.exchangeability.blocks
         following = known.optima.next(_TOLERANCE if blocks is None else len(blocks))
         if following is None:
-            self.move = self._anew.name
+            self.move = self._restart.name
             return self._go(Stage.RESTART)
         self._leave(following)
         moves = self._moves.values()
         possible = [one.name for one in moves if one.from_incumbent and one.possible(known)]
-        self.move = self._choice.draw(possible or [self._anew.name], self._rng)
+        self.move = self._choice.draw(possible or [self._restart.name], self._rng)
         return self._go(self._the_move.needs(known) or Stage.RESTART)
 
     def _refines(self) -> bool:
         """Whether the best so far is in the right place, and not yet at the end of its search."""
-        known, below = self.known, self.hypotheses.brisk_above
+        known, below = self.known, self.hypotheses.strict_above
         if known.incumbent is None or below is None or known.incumbent.loss > below:
             return False
         optimum = known.optima.of(known.incumbent)
@@ -414,12 +378,12 @@ class MovePolicy:
         """Candidates (n, d) of the present stage, which must not be SEARCH.  Changes nothing."""
         known = self.known
         if self.stage is Stage.EXCHANGE:
-            return known.exchangeability.draw(known.here.x)
+            return known.exchangeability.draw(known.current.x)
         if self.stage is Stage.REMOVAL:
             assert known.exchangeability.blocks is not None
-            return known.removal.draw(known.here.x, known.exchangeability.blocks, rng)
+            return known.removal.draw(known.current.x, known.exchangeability.blocks, rng)
         if self.stage is Stage.SENSITIVITY:
-            return known.sensitivity.draw(known.here.x, rng)
+            return known.sensitivity.draw(known.current.x, rng)
         return self._the_move.draw(known, self._candidates, rng)
 
     @property
@@ -442,17 +406,17 @@ class MovePolicy:
             self._begin_at(self._most_promising(samples, best))
             return self._go(Stage.SEARCH)
         if self.stage is Stage.EXCHANGE:
-            known.exchangeability.learn(known.here, samples, known.place)
-            repeats = [one.loss for one in samples if np.array_equal(one.x, known.here.x)]
+            known.exchangeability.learn(known.current, samples, known.place)
+            repeats = [one.loss for one in samples if np.array_equal(one.x, known.current.x)]
             if len(repeats) > 1 and max(map(abs, repeats)) < 1e150:  # squares would overflow
                 self.noise = float(np.std(repeats, ddof=1))
             return self._decide()
         if self.stage is Stage.REMOVAL:
             blocks = known.exchangeability.blocks
             assert blocks is not None
-            known.removal.learn(known.here, samples, blocks, known.channels)
+            known.removal.learn(known.current, samples, blocks, known.channels)
         else:
-            known.sensitivity.learn(known.here, samples)
+            known.sensitivity.learn(known.current, samples)
         return self._go(Stage.RESTART)
 
     def _most_promising(self, samples: Sequence[TrainingSample], best: Float64) -> Float64:
@@ -470,7 +434,7 @@ class MovePolicy:
             return best
         if self.begins_coarse:  # the incumbent's tokens are of a sharp image
             return best
-        here = changed(known.here.tokens, known.target, known.channels) ** 2
+        here = changed(known.current.tokens, known.target, known.channels) ** 2
         errors = [changed(s.tokens, known.target, known.channels) ** 2 for s in samples]
         scores = [float(np.minimum(here, error).sum()) for error in errors]
         return samples[int(np.argmin(scores))].x
@@ -486,21 +450,15 @@ class MovePolicy:
         """Everything that changes."""
         known = self.known
         return {
+            **{name: getattr(self, name) for name in _PLAIN},
             "stage": self.stage.value,
-            "move": self.move,
-            "start": asdict(self.start),
-            "loss_only_searches": self.loss_only_searches,
-            "guided": self.guided,
-            "noise": self.noise,
+            "start": values(self.start),
             "rng": self._rng.bit_generator.state,
             "incumbent": None if known.incumbent is None else known.incumbent.state_dict(),
             "optima": known.optima.state_dict(),
-            "exchangeability": known.exchangeability.state_dict(),
-            "removal": known.removal.state_dict(),
-            "sensitivity": known.sensitivity.state_dict(),
-            "values": known.values.state_dict(),
             "choice": self._choice.state_dict(),
             "hypotheses": self.hypotheses.state_dict(),
+            **{name: getattr(known, name).state_dict() for name in _FOUND},
         }
 
     def load_state_dict(self, state: Mapping[str, Any], device: device | None = None) -> None:
@@ -509,24 +467,39 @@ class MovePolicy:
         Raises ValueError for what it cannot have given.
         """
         known = self.known
-        check_policy(state, known, self._moves)
-        self.hypotheses.load_state_dict(state["hypotheses"])
-        self.stage, self.move = Stage(state["stage"]), state["move"]
-        self.start = Start(**state["start"])
-        self.loss_only_searches, self.guided = state["loss_only_searches"], state["guided"]
-        self.noise = state["noise"]
+        (tokens, channels), d = known.target.shape, known.dim
+        sides: Sides = {"d": d, "T": tokens, "C": channels}
+        self._check(state, sides)
+        for name, value in state.items():
+            if name in _PLAIN:
+                setattr(self, name, value)
+        self.stage, self.start = Stage(state["stage"]), Start(**state["start"])
         self._rng.bit_generator.state = state["rng"]
-        known.optima.load_state_dict(state["optima"], device)
+        known.optima.load_state_dict(state["optima"], sides, device)
         saved = state["incumbent"]
         known.incumbent = None if saved is None else TrainingSample.from_state(saved, device)
         for optimum in known.optima.all:  # it is one of them, not a copy
             if known.incumbent is not None and np.array_equal(optimum.sample.x, known.incumbent.x):
                 known.incumbent = optimum.sample
-        known.exchangeability.load_state_dict(state["exchangeability"])
-        known.removal.load_state_dict(state["removal"])
-        known.sensitivity.load_state_dict(state["sensitivity"])
-        known.values.load_state_dict(state["values"])
+        self.hypotheses.load_state_dict(state["hypotheses"])
         self._choice.load_state_dict(state["choice"])
+        for name in _FOUND:
+            getattr(known, name).load_state_dict(state[name])
+
+    def _check(self, state: Mapping[str, Any], sides: Sides) -> None:
+        """Raise ValueError unless this can be the state of a policy for such a scene."""
+        for name, schema in _SCHEMA.items():
+            check(state[name], schema, dict(sides), f"moves[{name!r}]")
+        stage, move, moves = Stage(state["stage"]), state["move"], self._moves
+        if move is not None and move not in moves:
+            raise ValueError(f"moves['move'] is {move!r}, which is none of {', '.join(moves)}")
+        if stage in (Stage.RESTART, Stage.REMOVAL, Stage.SENSITIVITY) and move is None:
+            raise ValueError(f"moves['move'] is None in the stage {stage.value!r}")
+        free = stage is Stage.RESTART and not moves[move].from_incumbent
+        if stage is not Stage.SEARCH and not free and state["incumbent"] is None:
+            raise ValueError(f"moves['incumbent'] is None in the stage {stage.value!r}")
+        if stage is Stage.REMOVAL and state["exchangeability"]["blocks"] is None:
+            raise ValueError("moves['exchangeability']['blocks'] is None while blocks are removed")
 
 
 def _gain(before: float, after: float) -> float:

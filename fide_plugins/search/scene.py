@@ -9,15 +9,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
-from scipy.cluster.hierarchy import linkage
-from scipy.spatial.distance import squareform
 from torch import Tensor, device
 
 from fide_plugins.population.candidate import TrainingSample
-from fide_plugins.runtime.schema import array, check, whole
+from fide_plugins.runtime.schema import (
+    Schema,
+    Sides,
+    Stateful,
+    array,
+    check,
+    each,
+    form,
+    row,
+    whole,
+)
 from fide_plugins.search import mixed
 from fide_plugins.search.mixed import AxisLayout, periodic_axes
 from fide_plugins.types import Float64, Indices
@@ -36,9 +44,15 @@ __all__ = [
 
 
 class Axes:
-    """Axes of the cube.
+    """Which axes of the cube are one parameter, and which wrap around.
+
+    A choice of n > 2 values has n axes, of which the largest coordinate decides: moved alone, they
+    mostly change nothing, so moves move them together.  A periodic parameter has no walls: 0.99 and
+    0.01 are close to each other.
 
     dim: d.  layout: what is discrete or periodic; None: nothing.
+    parameter_of: (d,), number of the parameter of each axis, from 0.
+    axes_of: axes of each parameter.
     """
 
     def __init__(self, dim: int, layout: AxisLayout | None = None) -> None:
@@ -48,10 +62,8 @@ class Axes:
         for block in () if layout is None else layout.choices:
             first[block] = block.start
         self.parameter_of: Indices = np.unique(first, return_inverse=True)[1]
-        """(d,), number of the parameter of each axis, from 0."""
         numbers = range(self.parameter_of[-1] + 1)
         self.axes_of = [np.flatnonzero(self.parameter_of == i) for i in numbers]
-        """Axes of each parameter."""
 
     def together(self, chosen: Indices) -> Indices:
         """All axes of the parameters that these axes are of."""
@@ -77,21 +89,25 @@ class Axes:
         return mixed.inside(x, self.periodic)
 
 
+# -- integers and choices --------------------------------------------------------------------------
+
 _REMEMBERED = 200  # combinations
 _CELLS_AWAY = (*range(2, 9), *(2**i for i in range(4, 10)))
 _BEYOND = 1e-9  # beyond an edge, and in the next cell
 
 
-class Values:
-    """Values that integers and choices can have, and which combinations were searched.
+class Values(Stateful):
+    """Which other values integers and choices can have, and which combinations were searched.
 
     axes: those of one parameter.  layout: what is discrete in the cube.  None: nothing is.
+    discrete: (d,), axes on which many points stand for one value.
     """
+
+    SCHEMA: ClassVar[dict[str, Schema]] = {"searched": array("m", "discrete", low=0.0, high=1.0)}
 
     def __init__(self, axes: Axes | None = None, layout: AxisLayout | None = None) -> None:
         self._axes, self._layout = axes, layout
         self.discrete = np.zeros(1, bool) if layout is None else layout.discrete
-        """(d,), axes on which many points stand for one value."""
         self._searched = np.empty((0, int(self.discrete.sum())))  # the oldest first
 
     def others(self, x: Float64) -> Float64:
@@ -139,22 +155,30 @@ class Values:
         """Begin again, for another target."""
         self._searched = self._searched[:0]
 
-    def state_dict(self) -> dict[str, Any]:
-        """Everything that changes."""
-        return {"searched": self._searched}
-
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Put back what `state_dict` gave; raises ValueError for what it cannot have given."""
-        n = self._searched.shape[1]
-        check(dict(state), {"searched": array("m", n, low=0.0, high=1.0)}, {}, "values")
-        self._searched = state["searched"]
+    def load_state_dict(self, state: Mapping[str, Any], sides: Sides | None = None) -> None:
+        """Put back what `state_dict` gave; ValueError for what it cannot have given."""
+        super().load_state_dict(state, {"discrete": self._searched.shape[1]})
 
 
-_REMOVAL_MOST = 1e300  # cost
+# -- blocks and groups of parameters ---------------------------------------------------------------
+
+_LARGEST_COST = 1e300
 
 
-class Removal:
-    """Removal costs (n,) and owned regions (n, T) of the blocks of one incumbent."""
+class Removal(Stateful):
+    """What each exchangeable block of one incumbent contributes to the image.
+
+    Block i is overwritten by a copy of another block.  Where blocks are exchangeable, and two in
+    one place look like one, that deletes block i: the loss that it costs is its *removal cost*, and
+    the tokens that change are the region that it *owns*.  One render a block.
+
+    costs: (n,).  owned: (n, T); both are empty before a round.
+    """
+
+    SCHEMA: ClassVar[dict[str, Schema]] = {
+        "costs": array("blocks"),
+        "owned": array("blocks", "tokens", low=0.0),
+    }
 
     def __init__(self) -> None:
         self.forget()
@@ -174,8 +198,8 @@ class Removal:
         n = len(blocks)
         other = (np.arange(n) + rng.integers(1, n, size=n)) % n
         removed = np.tile(x, (n, 1))
-        for row, block, copied in zip(removed, blocks, blocks[other], strict=True):
-            row[block] = x[copied]
+        for one, block, copied in zip(removed, blocks, blocks[other], strict=True):
+            one[block] = x[copied]
         return removed
 
     def learn(
@@ -192,9 +216,8 @@ class Removal:
             moved = sample.x != incumbent.x
             touched = np.flatnonzero(moved[blocks].any(axis=1))
             if len(touched) == 1 and moved.sum() == moved[blocks[touched[0]]].sum():
-                self.costs[touched[0]] = np.clip(
-                    sample.loss - incumbent.loss, -_REMOVAL_MOST, _REMOVAL_MOST
-                )
+                cost = np.clip(sample.loss - incumbent.loss, -_LARGEST_COST, _LARGEST_COST)
+                self.costs[touched[0]] = cost
                 self.owned[touched[0]] = changed(incumbent.tokens, sample.tokens, channels)
 
     def residual(self, incumbent: TrainingSample, target: Tensor, channels: int | None) -> Float64:
@@ -204,16 +227,6 @@ class Removal:
         part = part / np.maximum(part.sum(axis=0), 1e-300)
         owned: Float64 = part @ error
         return owned
-
-    def state_dict(self) -> dict[str, Any]:
-        """Everything that changes."""
-        return {"costs": self.costs, "owned": self.owned}
-
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Put back what `state_dict` gave; raises ValueError for what it cannot have given."""
-        form = {"costs": array("blocks"), "owned": array("blocks", "tokens", low=0.0)}
-        check(state, form, {}, "removal")  # type: ignore[arg-type]
-        self.costs, self.owned = state["costs"], state["owned"]
 
 
 def changed(before: Tensor, after: Tensor, channels: int | None) -> Float64:
@@ -226,9 +239,18 @@ _SIZE_POWER = 1.5  # of the number of parameters in the worth of a branch; measu
 
 
 def overlaps(changes: Float64) -> Float64:
-    """O (n, n) of changes (n, T) >= 0; a parameter that changes nothing overlaps with nothing."""
+    """O (n, n) of changes (n, T) >= 0; a parameter that changes nothing overlaps with nothing.
+
+    Two parameters are alike by the overlap coefficient (Simpson 1943; Vijaymeena and Kavitha 2016,
+    eq. 7) of their rows,
+
+        O_ij = sum_t min(A_it, A_jt) / min(sum_t A_it, sum_t A_jt),
+
+    which is 1 when what the weaker one changes, the stronger one changes too: a color changes the
+    whole cell, a coordinate its border only.
+    """
     total = changes.sum(axis=1)
-    shared = np.array([np.minimum(row, changes).sum(axis=1) for row in changes])
+    shared = np.array([np.minimum(one, changes).sum(axis=1) for one in changes])
     smaller = np.minimum(total[:, None], total)
     overlap: Float64 = np.divide(shared, smaller, out=np.zeros_like(shared), where=smaller > 0)
     return np.clip(overlap, 0.0, 1.0)
@@ -252,7 +274,17 @@ class _Branch:
 
 
 def find_parts(overlap: Float64) -> list[Indices]:
-    """Divide n parameters into parts, each an array of indices, by their overlap (n, n)."""
+    """Divide n parameters into parts, each an array of indices, by their overlap (n, n).
+
+    Parts are read from a dendrogram of 1 - O by the excess of mass, as clusters are in HDBSCAN
+    (Campello et al. 2015, "Hierarchical Density Estimates for Data Clustering", sec. 5): a branch
+    is one part if it lasts longer, from the height at which it forms to the height at which it
+    joins another, than its own branches do together.  So neither their number nor a threshold is
+    asked for.  All parameters together are never one part: moving them all is what a restart does.
+    """
+    from scipy.cluster.hierarchy import linkage
+    from scipy.spatial.distance import squareform
+
     n = len(overlap)
     branches = [_Branch([i], 0.0, [[i]], 0.0) for i in range(n)]
     if n == 1:
@@ -261,23 +293,29 @@ def find_parts(overlap: Float64) -> list[Indices]:
     np.fill_diagonal(distance, 0.0)
     for a, b, height, _ in linkage(squareform(distance, checks=False), "average"):
         left, right = branches[int(a)].closed(height), branches[int(b)].closed(height)
-        branches.append(
-            _Branch(
-                left.members + right.members,
-                height,
-                left.parts + right.parts,
-                left.worth + right.worth,
-            )
-        )
+        members, parts = left.members + right.members, left.parts + right.parts
+        branches.append(_Branch(members, height, parts, left.worth + right.worth))
     return [np.array(sorted(part)) for part in branches[-1].parts]
 
 
-class Sensitivity:
-    """Overlaps (p, p) of what p parameters change, averaged over rounds.
+class Sensitivity(Stateful):
+    """Which parameters change the same places of the image: parameter groups.
+
+    A cell, a bead, a limb, a camera: the parameters of one thing change the same places of the
+    picture, those of different things different places.  Each parameter of the incumbent is moved,
+    alone, to a random value: one render each.  The overlap of what they change says which form a
+    group.  What belongs together depends on the renderer more than on the candidate: one round
+    serves for all incumbents.
 
     dim: d.  channels: leading channels of the tokens in which changes are seen; None: all.
     axes: those of one parameter, such as a choice, are moved together; None: each is a parameter.
     """
+
+    SCHEMA: ClassVar[dict[str, Schema]] = {
+        "rounds": whole(),
+        "overlap": array("p", "p", low=0.0),
+        "pairs": array("p", "p", low=0.0),
+    }
 
     def __init__(self, dim: int, channels: int | None, axes: Axes | None = None) -> None:
         self.dim, self.channels = dim, channels
@@ -313,22 +351,16 @@ class Sensitivity:
         parts = find_parts(self._overlap / np.maximum(self._pairs, 1.0))
         return [np.concatenate([self._axes.axes_of[i] for i in part]) for part in parts]
 
-    def state_dict(self) -> dict[str, Any]:
-        """Everything that changes."""
-        return {"rounds": self.rounds, "overlap": self._overlap, "pairs": self._pairs}
+    def load_state_dict(self, state: Mapping[str, Any], sides: Sides | None = None) -> None:
+        """Put back what `state_dict` gave; ValueError for what it cannot have given."""
+        super().load_state_dict(state, {"p": len(self._axes.axes_of)})
 
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Put back what `state_dict` gave; raises ValueError for what it cannot have given."""
-        square = array("p", "p", low=0.0)
-        form = {"rounds": whole(), "overlap": square, "pairs": square}
-        check(state, form, {"p": len(self._axes.axes_of)}, "sensitivity")  # type: ignore[arg-type]
-        self.rounds = state["rounds"]
-        self._overlap, self._pairs = state["overlap"], state["pairs"]
 
+# -- local optima ----------------------------------------------------------------------------------
 
 Distance: TypeAlias = Callable[[Float64, Float64], float]
 
-_OPTIMA_MOST = 12  # that are remembered
+_MOST = 12  # optima that are remembered
 APART = 0.05  # of the unit cube, in some parameter, that makes two optima distinct
 _NEW, _NEW_AGAIN = 1.0, 0.5  # score of the first new search; added by each without a success
 
@@ -338,7 +370,7 @@ class Optimum:
     """A local optimum.
 
     failures: of moves from it.
-    searches: that ended there and had begun elsewhere; no move is chosen by them.
+    searches: that ended there and had begun apart from it; no move is chosen by them.
     refined: whether `refine` was tried.
     """
 
@@ -349,12 +381,25 @@ class Optimum:
 
 
 class Optima:
-    """Local optima, best first."""
+    """Distinct local optima, best first, and how often moves from each of them failed.
+
+    The next incumbent is the optimum with the lowest *score*, its rank by loss plus its failures in
+    units of a tolerance: the best one is tried first, and others when it has failed often.  A new
+    search is due when its own score is lower still.
+
+    forgotten: searches that ended in places which are no longer remembered.
+    """
+
+    SCHEMA: ClassVar[dict[str, Schema]] = {
+        "samples": each(form(TrainingSample)),
+        "counts": each(row(whole(), whole(), whole(high=1))),
+        "descents": whole(),
+        "forgotten": whole(),
+    }
 
     def __init__(self) -> None:
         self.all: list[Optimum] = []
         self.forgotten = 0
-        """Of these searches, those that ended in places which are no longer remembered."""
         self._descents = 0  # new ones since the best optimum was found
 
     def __len__(self) -> int:
@@ -366,28 +411,28 @@ class Optima:
         """Note where a search ended; returns whether that is the best optimum so far.
 
         distance: of two points (d,), in units of the unit cube.
-        from_elsewhere: whether the search had begun elsewhere.
+        from_elsewhere: whether the search had begun apart from there.
         """
         best = not self.all or found.loss < self.all[0].sample.loss
         if best:
             self._descents = 0
-        near = [o for o in self.all if distance(o.sample.x, found.x) < APART]
-        searches = int(from_elsewhere) + sum(optimum.searches for optimum in near)
-        if near and near[0].sample.loss <= found.loss:
-            near[0].searches += int(from_elsewhere)
+        close = [o for o in self.all if distance(o.sample.x, found.x) < APART]
+        searches = int(from_elsewhere) + sum(optimum.searches for optimum in close)
+        if close and close[0].sample.loss <= found.loss:
+            close[0].searches += int(from_elsewhere)
             return False
-        self.all = [optimum for optimum in self.all if optimum not in near]
+        self.all = [optimum for optimum in self.all if optimum not in close]
         self.all.append(Optimum(found, searches=searches))
         self.all.sort(key=lambda optimum: optimum.sample.loss)
-        self.forgotten += sum(optimum.searches for optimum in self.all[_OPTIMA_MOST:])
-        del self.all[_OPTIMA_MOST:]
+        self.forgotten += sum(optimum.searches for optimum in self.all[_MOST:])
+        del self.all[_MOST:]
         return best
 
     def others(self, distance: Distance) -> tuple[float | None, float]:
         """How far the answers of searches differ that ended in other places than the best.
 
         Their lowest loss, None without any, and the largest distance of one from the best place.
-        Those count that had begun elsewhere.
+        Those count that had begun apart from where they ended.
         """
         found = [optimum.sample for optimum in self.all[1:] if optimum.searches]
         if not found:
@@ -395,15 +440,15 @@ class Optima:
         best = self.all[0].sample.x
         return found[0].loss, max(distance(best, one.x) for one in found)
 
+    def of(self, sample: TrainingSample) -> Optimum | None:
+        """Return the optimum with this sample, if it is remembered."""
+        return next((optimum for optimum in self.all if optimum.sample is sample), None)
+
     def fail(self, incumbent: TrainingSample) -> None:
         """Note that a move from this optimum failed."""
         optimum = self.of(incumbent)
         if optimum is not None:
             optimum.failures += 1
-
-    def of(self, sample: TrainingSample) -> Optimum | None:
-        """Return the optimum with this sample, if it is remembered."""
-        return next((optimum for optimum in self.all if optimum.sample is sample), None)
 
     def next(self, tolerance: float) -> TrainingSample | None:
         """Return the optimum that is tried next; None: it is time for a new search.
@@ -418,17 +463,18 @@ class Optima:
 
     def state_dict(self) -> dict[str, Any]:
         """Everything."""
-        counts = [[one.failures, one.searches, int(one.refined)] for one in self.all]
-        samples = [one.sample.state_dict() for one in self.all]
         return {
-            "samples": samples,
-            "counts": counts,
+            "samples": [one.sample.state_dict() for one in self.all],
+            "counts": [[one.failures, one.searches, int(one.refined)] for one in self.all],
             "descents": self._descents,
             "forgotten": self.forgotten,
         }
 
-    def load_state_dict(self, state: Mapping[str, Any], device: device | None = None) -> None:
-        """Put back what `state_dict` gave, tokens on the device."""
+    def load_state_dict(
+        self, state: Mapping[str, Any], sides: Sides | None = None, device: device | None = None
+    ) -> None:
+        """Put back what `state_dict` gave, tokens on the device; ValueError if it is none."""
+        check(state, self.SCHEMA, dict(sides or {}), "optima")
         samples = [TrainingSample.from_state(one, device) for one in state["samples"]]
         pairs = zip(samples, state["counts"], strict=True)
         self.all = [Optimum(one, n, m, bool(refined)) for one, (n, m, refined) in pairs]

@@ -27,7 +27,7 @@ from fide_plugins.types import Float64, Indices, Mask
 
 __all__ = ["Validity", "validity_of"]
 
-_ROUNDS = 200  # in which samples are drawn, each anew where it is invalid
+_ROUNDS = 200  # in which invalid samples are drawn again
 _REDRAWN = 20  # in which restart candidates are drawn
 _HALVINGS = 24  # of the way from a valid point to an invalid one
 _TRIED = 5000  # random points at most, in search of valid ones

@@ -61,7 +61,7 @@ def reach(stage: Stage, target: Float32, render: Render, **options: Any) -> FIDE
 
 def test_a_stalled_search_is_left_by_a_move(target: Float32, render: Render) -> None:
     opt = until(Stage.RESTART, target, render)
-    incumbent, searches = opt.state.moves.known.here, opt.state.searches
+    incumbent, searches = opt.state.moves.known.current, opt.state.searches
     assert opt.state.search_best is None, "tests of the scene are no place where a search ends"
     X = opt.ask()
     assert len(X) == 20 and (incumbent.x != X).any(axis=1).all()
@@ -155,7 +155,7 @@ def test_cells_are_found_to_be_exchangeable() -> None:
     """Voronoi cells, each the five parameters of one."""
     task = fide_tasks.make("voronoi", 64, 0)
     opt = FIDE(task.dim, task.target, seed=0)
-    while not opt.state.moves.known.exchangeability.settled:
+    while not opt.state.moves.known.exchangeability.finished:
         X = opt.ask()
         opt.tell(X, task.render(X))
         assert opt.evaluations < 2000

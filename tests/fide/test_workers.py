@@ -46,7 +46,7 @@ def test_exchangeable_blocks_are_found(seed: int) -> None:
     task = fide_tasks.make("voronoi", 64, seed, cells=5)
     workers = Workers(FIDE(task.dim, task.target, seed=seed), task.render)
     moves = workers.opt.state.moves
-    while not moves.known.exchangeability.settled:
+    while not moves.known.exchangeability.finished:
         workers.step()
         assert workers.opt.evaluations < 3000
     np.testing.assert_array_equal(moves.known.exchangeability.blocks, np.arange(25).reshape(5, 5))

@@ -124,8 +124,8 @@ def test_what_nobody_asks_for_is_forgotten() -> None:
         (1.0, INF, True),  # the usual rule
     ],
 )
-def test_a_search_above_a_loss_has_to_be_brisk(rate: float, above: float, over: bool) -> None:
-    search = Termination(sigma0=1 / 6, patience=5, improvement=0.1, brisk_above=above)
+def test_a_search_above_a_loss_has_to_be_quick(rate: float, above: float, over: bool) -> None:
+    search = Termination(sigma0=1 / 6, patience=5, improvement=0.1, strict_above=above)
     verdicts = []
     for generation in range(12):
         search.note(np.array([10.0 * rate**generation]))

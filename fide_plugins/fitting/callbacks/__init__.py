@@ -35,6 +35,7 @@ from fide_plugins.types import Float64
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
 
+__all__ = ["Callbacks", "Event", "Run", "StopFitting"]
 
 _METHODS = ("on_start", "on_evaluation", "on_improvement", "on_end")
 

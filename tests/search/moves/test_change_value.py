@@ -113,7 +113,7 @@ def test_the_search_holds_the_value_and_nothing_else(known: Known) -> None:
     x = known.values.others(HERE)[0]  # another floor
     start = ChangeValue().begin_at(known, x)
     floor = SPACE.axes["floor"]
-    assert start.held is not None and np.flatnonzero(start.held).tolist() == floor
+    assert start.fixed is not None and np.flatnonzero(start.fixed).tolist() == floor
     setting = Setting(12, known.sigma0, Options(), SPACE.layout)
     search = Search(replace(start, std=np.full(SPACE.dim, 0.5)), np.inf, setting)
     rng = np.random.default_rng(0)

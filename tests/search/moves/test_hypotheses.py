@@ -65,13 +65,13 @@ def test_of_sets_few_are_rendered_and_one_is_searched_narrowly() -> None:
 @pytest.mark.parametrize(
     ("losses", "above"), [([1.0, 2.0, 3.0], 0.2), ([-5.0] * 3, None), ([1.0, np.inf, np.inf], None)]
 )
-def test_a_search_has_to_be_brisk_only_above_a_positive_finite_loss(
+def test_a_search_has_to_be_quick_only_above_a_positive_finite_loss(
     losses: list[float], above: float | None
 ) -> None:
     hypotheses = Hypotheses(Posterior(np.random.default_rng(0).random((10, 2))), 2)
     found = [(loss, x) for loss, x in zip(losses, hypotheses.x, strict=False)]
     hypotheses.learn(found, hypotheses.x[0], lambda x, y: float(np.abs(x - y).max()))
-    assert hypotheses.brisk_above == pytest.approx(above)
+    assert hypotheses.strict_above == pytest.approx(above)
     again = Hypotheses(None, 2)
     again.load_state_dict(hypotheses.state_dict())  # which refuses what is not finite
     assert again.typical == hypotheses.typical
@@ -133,7 +133,7 @@ def test_draws_alone_say_what_a_typical_loss_is(blocks: bool) -> None:
     distance = policy.known.exchangeability.distance
     policy.hypotheses.learn(list(zip(losses, rendered, strict=True)), rendered[0], distance)
     assert policy.hypotheses.typical == 0.3
-    assert policy.hypotheses.brisk_above == pytest.approx(0.03)
+    assert policy.hypotheses.strict_above == pytest.approx(0.03)
     of_refined = list(zip(losses, rendered, strict=True))[:5]  # the others have failed
     policy.hypotheses.learn(of_refined, rendered[0], distance)
     assert policy.hypotheses.typical is None

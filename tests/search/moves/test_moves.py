@@ -9,10 +9,10 @@ import torch
 from fide_plugins.population.candidate import TrainingSample
 from fide_plugins.search.exchangeability import Exchangeability
 from fide_plugins.search.moves import (
-    BeginAnew,
     Crossover,
     HalfTurn,
     Known,
+    RandomRestart,
     Refine,
     RelocateGroup,
     RelocateSegment,
@@ -58,8 +58,8 @@ def rendered(known: Known, x: Float64, x_star: Float64) -> TrainingSample:
 
 
 def removed(known: Known, x_star: Float64, rng: np.random.Generator) -> Known:
-    X = known.removal.draw(known.here.x, BLOCKS, rng)
-    known.removal.learn(known.here, [rendered(known, x, x_star) for x in X], BLOCKS, 3)
+    X = known.removal.draw(known.current.x, BLOCKS, rng)
+    known.removal.learn(known.current, [rendered(known, x, x_star) for x in X], BLOCKS, 3)
     return known
 
 
@@ -80,14 +80,14 @@ def test_removal_says_what_each_block_is_worth(rng: np.random.Generator) -> None
     where = (np.arange(16) + 0.5) / 16
     for i in (0, 1, 3):
         assert abs(where[known.removal.owned[i].argmax()] - STALLED[2 * i]) < 0.5
-    residual = known.removal.residual(known.here, known.target, 3)
+    residual = known.removal.residual(known.current, known.target, 3)
     assert int(np.argmax(residual)) == 1, "the one in the middle stands for two"
 
 
 def test_renders_that_were_not_asked_for_do_no_harm_to_removal(rng: np.random.Generator) -> None:
     known = scene(STALLED, STAR)
-    strangers = [rendered(known, rng.random(8), STAR), known.here]
-    known.removal.learn(known.here, strangers, BLOCKS, 3)
+    strangers = [rendered(known, rng.random(8), STAR), known.current]
+    known.removal.learn(known.current, strangers, BLOCKS, 3)
     assert known.removal.known and not known.removal.costs.any()
     Split().draw(known, 5, rng)
 
@@ -107,7 +107,7 @@ def test_split_puts_the_redundant_block_beside_the_overloaded_one(
     beside = np.abs(x[moved[:, 2], 4] - 0.5) < 0.2
     assert beside.mean() > 0.5
     scores = [rendered(known, row, STAR).loss for row in x[:200]]
-    assert min(scores) < known.here.loss
+    assert min(scores) < known.current.loss
     start = Split().begin_at(known, x[0])
     wide = np.isin(start.std, 1 / 12)
     np.testing.assert_array_equal(wide, x[0] != STALLED)
@@ -129,7 +129,7 @@ def test_two_blocks_split_each_other(rng: np.random.Generator) -> None:
     known.exchangeability = Exchangeability(8, 3, [[0, 1], [2, 3]])
     pair = known.exchangeability.blocks
     assert pair is not None
-    known.removal.learn(known.here, [], pair, 3)
+    known.removal.learn(known.current, [], pair, 3)
     x = Split().draw(known, 50, rng)
     np.testing.assert_array_equal(x[:, 4:], np.tile(STALLED[4:], (50, 1)))
 
@@ -160,12 +160,12 @@ def test_groups_are_found_by_sensitivity(rng: np.random.Generator) -> None:
     known = scene(np.array([0.1, 0.7, 0.4, 0.8, 0.6, 0.6, 0.9, 0.8]), STAR, exchangeable=False)
     assert RelocateGroup().needs(known) is Stage.SENSITIVITY
     for _ in range(4):
-        X = known.sensitivity.draw(known.here.x, rng)
-        np.testing.assert_array_equal(known.here.x != X, np.eye(8, dtype=bool))
-        known.sensitivity.learn(known.here, [rendered(known, x, STAR) for x in X])
+        X = known.sensitivity.draw(known.current.x, rng)
+        np.testing.assert_array_equal(known.current.x != X, np.eye(8, dtype=bool))
+        known.sensitivity.learn(known.current, [rendered(known, x, STAR) for x in X])
     assert RelocateGroup().needs(known) is None
     assert sorted(group.tolist() for group in known.sensitivity.groups) == BLOCKS.tolist()
-    known.sensitivity.learn(known.here, [rendered(known, rng.random(8), STAR)])
+    known.sensitivity.learn(known.current, [rendered(known, rng.random(8), STAR)])
     assert len(known.sensitivity.groups) == 4
 
 
@@ -239,7 +239,7 @@ def turn_x(angle: float) -> Float64:
 def test_refine_goes_on_once_where_others_failed(rng: np.random.Generator) -> None:
     known = scene(STALLED, STAR)
     assert not Refine().possible(known)
-    known.optima.fail(known.here)
+    known.optima.fail(known.current)
     assert Refine().possible(known)
     x = Refine().draw(known, 1000, rng)
     inside = (x > 0) & (x < 1)
@@ -253,10 +253,10 @@ def test_refine_goes_on_once_where_others_failed(rng: np.random.Generator) -> No
 
 def test_new_searches_begin_in_different_places(rng: np.random.Generator) -> None:
     known = scene(STALLED, STAR)
-    x = BeginAnew().draw(known, 20_000, rng)
+    x = RandomRestart().draw(known, 20_000, rng)
     assert np.abs(x.mean(axis=0) - 0.5).max() < 0.02
     assert np.abs(x.std(axis=0) - np.sqrt(1 / 12)).max() < 0.01
-    starts = [BeginAnew().begin_without_images(known, i, rng) for i in range(1, 20)]
+    starts = [RandomRestart().start_without_images(known, i, rng) for i in range(1, 20)]
     assert len({tuple(start.mean) for start in starts}) == 19
     assert [start.population for start in starts[::2]] == [2, 4, 8, 16, 32, 64, 64, 64, 64, 64]
     assert all(start.population == 1 for start in starts[1::2])
@@ -268,7 +268,7 @@ def test_new_searches_begin_in_different_places(rng: np.random.Generator) -> Non
 def test_new_descents_stay_where_the_user_said(rng: np.random.Generator) -> None:
     known = scene(STALLED, STAR)
     known.sigma0 = np.full(8, 0.02)
-    x = BeginAnew().draw(known, 1000, rng)
+    x = RandomRestart().draw(known, 1000, rng)
     assert x.min() >= 0.44 and x.max() <= 0.56
 
 
@@ -294,7 +294,7 @@ def test_few_parameters_are_enough(dim: int, rng: np.random.Generator) -> None:
         RelocateSegment(): dim > 1,  # a segment is not all there is
         Crossover(): True,
         HalfTurn(): True,
-        BeginAnew(): True,
+        RandomRestart(): True,
         Refine(): False,  # nothing was left in vain
     }
     for move, expected in possible.items():

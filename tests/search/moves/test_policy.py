@@ -79,7 +79,7 @@ def test_without_blocks_other_moves_follow() -> None:
     assert Stage.REMOVAL not in stages and stages.count(Stage.SENSITIVITY) == 1
     names = {name for _, name in seen[4:]}
     assert names == {
-        "crossover", "half turn", "relocate group", "relocate segment", "refine", "begin anew",
+        "crossover", "half turn", "relocate group", "relocate segment", "refine", "random restart",
     }  # fmt: skip
 
 
@@ -128,16 +128,16 @@ def test_a_better_optimum_is_the_next_incumbent_and_a_worse_one_is_not() -> None
     moves.after_search(exchangeable(np.full(8, 0.4)), 100, guided=True)
     while moves.stage is not Stage.SEARCH:
         round_of(moves, exchangeable, rng)
-    first = moves.known.here
+    first = moves.known.current
     assert moves.goal == first.loss
     worse = TrainingSample(7, np.full(8, 0.9), first.tokens, first.loss + 1, 7)
     moves.after_search(worse, 100, guided=True)
-    assert moves.known.here is first
+    assert moves.known.current is first
     better = exchangeable(STAR)
     while moves.stage is not Stage.SEARCH:
         round_of(moves, exchangeable, rng)
     moves.after_search(better, 100, guided=True)
-    assert moves.known.here is better
+    assert moves.known.current is better
 
 
 def test_without_images_every_search_begins_elsewhere() -> None:
@@ -230,12 +230,12 @@ def test_only_searches_that_began_elsewhere_are_evidence_of_an_optimum() -> None
             continue
         x = np.clip(moves.start.mean + 0.02 * rng.standard_normal(8), 0, 1)
         if moves.move is not None:
-            changed = (moves.start.mean != moves.known.here.x).sum()
-            back = moves.move != "begin anew" and rng.random() < 0.5
-            x = moves.known.here.x if back else x  # or it ends where it began
-            apart = np.abs(x - moves.start.mean)[moves.start.mean != moves.known.here.x]
+            changed = (moves.start.mean != moves.known.current.x).sum()
+            back = moves.move != "random restart" and rng.random() < 0.5
+            x = moves.known.current.x if back else x  # or it ends where it began
+            apart = np.abs(x - moves.start.mean)[moves.start.mean != moves.known.current.x]
             returned = changed > 4 and bool((apart >= 0.05).all())
-            counted += moves.move == "begin anew" or returned
+            counted += moves.move == "random restart" or returned
             kept += back and not returned
             assert not (returned and moves.move == "refine")
         moves.after_search(mixed(x), 150, guided=True)
@@ -246,10 +246,14 @@ def test_only_searches_that_began_elsewhere_are_evidence_of_an_optimum() -> None
 def test_a_new_descent_without_an_incumbent_can_be_saved() -> None:
     """After a search by losses alone, a guided one may find nothing that is worth leaving."""
     moves = policy()
-    moves.known.incumbent, moves.move, moves.stage = None, "begin anew", Stage.RESTART
+    moves.known.incumbent, moves.move, moves.stage = None, "random restart", Stage.RESTART
     other = policy()
     other.load_state_dict(moves.state_dict())
-    assert (other.stage, other.move, other.known.incumbent) == (Stage.RESTART, "begin anew", None)
+    assert (other.stage, other.move, other.known.incumbent) == (
+        Stage.RESTART,
+        "random restart",
+        None,
+    )
     moves.move = "split"
     with pytest.raises(ValueError, match="incumbent"):
         policy().load_state_dict(moves.state_dict())

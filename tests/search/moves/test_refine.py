@@ -38,10 +38,10 @@ def known() -> Known:
 
 def test_it_begins_narrowly_and_patiently_at_the_incumbent_once(known: Known) -> None:
     assert not Refine().possible(known), "nothing has failed yet"
-    known.optima.fail(known.here)
+    known.optima.fail(known.current)
     assert Refine().possible(known)
     start = Refine().begin_at(known, np.zeros(D))
-    np.testing.assert_array_equal(start.mean, known.here.x)
+    np.testing.assert_array_equal(start.mean, known.current.x)
     assert start.std.max() < 0.05 * known.sigma0.max() and start.patience == 3
     assert start.to_the_end and Refine().possible(known)
     Refine().note_begun(known, start.mean)
@@ -50,7 +50,7 @@ def test_it_begins_narrowly_and_patiently_at_the_incumbent_once(known: Known) ->
 
 @pytest.mark.parametrize("to_the_end", [True, False])
 def test_its_search_goes_on_where_others_have_collapsed(known: Known, to_the_end: bool) -> None:
-    start = replace(Refine().begin_at(known, known.here.x), to_the_end=to_the_end)
+    start = replace(Refine().begin_at(known, known.current.x), to_the_end=to_the_end)
     search = Search(start, np.inf, Setting(8, known.sigma0, Options()))
     ended_at = []
     for generation in range(40):  # it halves in each, and so does the loss

@@ -163,7 +163,7 @@ def test_after_a_search_without_images_a_worse_one_is_followed_by_tests_of_the_b
     best = sample(np.full(16, 0.1), HERE, 0.5)
     while moves.move == "learned":
         moves.after_search(best, 100, guided=False)
-    assert moves.known.incumbent is None and not moves.known.exchangeability.settled
+    assert moves.known.incumbent is None and not moves.known.exchangeability.finished
     worse = sample(np.full(16, 0.1), 1 - HERE, 0.9)
     assert moves.after_search(worse, 100, guided=True) is Stage.EXCHANGE
     np.testing.assert_array_equal(moves.draw(rng)[0], HERE)
@@ -174,7 +174,7 @@ def test_what_is_in_the_right_place_is_refined_before_anything_else_is_tried() -
     moves, rng = policy(), np.random.default_rng(0)
     several = [sample(np.full(16, 0.1), x, 1.0 + i) for i, x in enumerate(moves.draw(rng))]
     moves.learn(several, several[0].x)
-    below = moves.hypotheses.brisk_above
+    below = moves.hypotheses.strict_above
     assert below is not None and below < 3.0  # a tenth of the median, about 24
     seen, loss = [], below
     for gain in (1.0, 0.5, 0.0):  # in the right place; better by a half; no better

@@ -12,10 +12,10 @@ from fide_plugins import Choice, Float, Int, Space
 from fide_plugins.population.candidate import TrainingSample
 from fide_plugins.search.exchangeability import Exchangeability
 from fide_plugins.search.moves import (
-    BeginAnew,
     Crossover,
     HalfTurn,
     Known,
+    RandomRestart,
     Refine,
     RelocateGroup,
     RelocateSegment,
@@ -68,7 +68,7 @@ def test_a_sensitivity_sample_moves_one_parameter(known: Known, rng: np.random.G
     assert moved == [{0}, {1}, set(FLOOR), {6}, set(LAMP)]
     for _ in range(8):
         X = SPACE.snap(known.sensitivity.draw(HERE, rng))
-        known.sensitivity.learn(known.here, [rendered(x) for x in X])
+        known.sensitivity.learn(known.current, [rendered(x) for x in X])
     parts = [sorted(part.tolist()) for part in known.sensitivity.groups]
     assert sorted(parts) == [[0], [1], FLOOR, [6], LAMP], "each shows in a place of its own"
     saved = known.sensitivity.state_dict()
@@ -82,7 +82,7 @@ def test_a_sensitivity_sample_moves_one_parameter(known: Known, rng: np.random.G
 def test_choices_are_relocated_and_crossed_over_whole(
     known: Known, rng: np.random.Generator
 ) -> None:
-    known.sensitivity.learn(known.here, [rendered(x) for x in known.sensitivity.draw(HERE, rng)])
+    known.sensitivity.learn(known.current, [rendered(x) for x in known.sensitivity.draw(HERE, rng)])
     for move in (RelocateSegment(), RelocateGroup()):
         for row in move.draw(known, 200, rng):
             for block in (FLOOR, LAMP):
@@ -114,9 +114,9 @@ def test_moves_go_around(known: Known, rng: np.random.Generator) -> None:
     assert ((x >= 0) & (x <= 1)).all()
     assert (x[:, 1] > 0.9).any() and not (x[:, 1] == 0).any(), "none is held at the wall"
     low = np.full(DIM, 0.05)
-    several = BeginAnew().draw(replace(known, x0=low, sigma0=np.full(DIM, 0.1)), 4000, rng)
+    several = RandomRestart().draw(replace(known, x0=low, sigma0=np.full(DIM, 0.1)), 4000, rng)
     assert (several[:, 1] > 0.76).any() and several[:, 0].max() <= 0.35
-    wide = BeginAnew().draw(known, 8000, rng)
+    wide = RandomRestart().draw(known, 8000, rng)
     counts = np.histogram(wide[:, 1], bins=8, range=(0, 1))[0]
     np.testing.assert_allclose(counts, 1000, atol=5 * np.sqrt(1000))
 

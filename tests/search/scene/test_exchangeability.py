@@ -32,7 +32,7 @@ def find(
 
     found = Exchangeability(dim, 3)
     here, renders = render(rng.random(dim)), 0
-    while not found.settled:
+    while not found.finished:
         X = found.draw(here.x)
         renders += len(X)
         found.learn(here, [render(x) for x in X])
@@ -96,7 +96,7 @@ def test_noise_alone_is_hardly_ever_taken_for_exchangeability() -> None:
 
 def test_an_image_that_never_changes_says_nothing() -> None:
     found, _ = find(6, lambda x: np.ones(16))
-    assert found.settled and found.blocks is None
+    assert found.finished and found.blocks is None
 
 
 def test_painted_blocks_are_found_and_known_to_be_ordered() -> None:
@@ -112,9 +112,9 @@ def test_missing_renders_are_no_evidence() -> None:
     found = Exchangeability(8, 3)
     here = sample(additive(np.linspace(0, 1, 8), layout), np.linspace(0, 1, 8))
     for _ in range(3):
-        if not found.settled:
+        if not found.finished:
             found.learn(here, [])
-    assert found.settled and found.blocks is None
+    assert found.finished and found.blocks is None
 
 
 def test_distance_is_that_of_the_best_order() -> None:
@@ -162,13 +162,13 @@ def test_state_goes_on_between_rounds() -> None:
     x = np.random.default_rng(0).random(23)
     here = sample(additive(x, layout), x)
     original = Exchangeability(23, 3)
-    while not original.settled:
+    while not original.finished:
         copy = Exchangeability(23, 3)
         copy.load_state_dict(original.state_dict())
         np.testing.assert_array_equal(copy.draw(x), original.draw(x))
         for each in (original, copy):
             each.learn(here, [sample(additive(row, layout), row) for row in each.draw(x)])
-        assert copy.settled == original.settled
+        assert copy.finished == original.finished
     np.testing.assert_array_equal(copy.blocks, original.blocks)
 
 
@@ -195,7 +195,7 @@ def test_blocks_with_integers_are_found(seed: int) -> None:
     found = Exchangeability(12, 3)
     x = place(np.random.default_rng(seed).random((1, 12)))[0]
     here = sample(additive(x, layout), x)
-    while not found.settled:
+    while not found.finished:
         X = place(found.draw(here.x))
         found.learn(here, [sample(additive(x, layout), x) for x in X], place)
     np.testing.assert_array_equal(found.blocks, layout)
