@@ -78,7 +78,13 @@ def posterior_of(
     if learned is None:
         return None
     learned.check_space(space)
-    target = _only(target)
+    if isinstance(target, list):
+        if len(target) > 1:
+            raise OptionError(
+                f"a learned model knows one picture of each scene, and the target has "
+                f"{len(target)} views: leave out learned, or fit the view it was learned from alone"
+            )
+        target = target[0]
     far = learned.unfamiliarity(target)
     if far > 1:
         warn_user(f"{learned.unlike_all(far)}: the search goes on without the model")
@@ -150,18 +156,6 @@ def _check_renderer(model: Model, render: object) -> None:
         )
 
 
-def _only(target: Any) -> Any:
-    """The picture of a target, which may be a list of one view."""
-    if not isinstance(target, list):
-        return target
-    if len(target) > 1:
-        raise OptionError(
-            f"a learned model knows one picture of each scene, and the target has {len(target)} "
-            "views: leave out learned, or fit the view it was learned from alone"
-        )
-    return target[0]
-
-
 LEAST = 10_000
 """Renders of the whole budget."""
 _FIRST, _SECOND = 0.4, 0.3  # of the budget
@@ -230,13 +224,16 @@ class Rounds:
             learn = partial(self._learn, folder, workers, on_progress)
             # the second model gives the hypotheses, so the first needs no emulator
             first = learn("first", 0, self.renders[0], middle, emulator=False)
+            seen = first.report.renders + first.report.held_out + first.report.failed
             if not first.knows(self.picture):
-                return Learned(first, _number(first))
+                return Learned(first, seen)
             second = learn(
                 "second", self.renders[0], self.renders[1], end,
                 after=folder / "first.fide", picture=self.picture,
             )  # fmt: skip
-            return Learned(second, _number(second) + first.report.failed)
+            report = second.report
+            seen = report.renders + report.held_out + report.failed
+            return Learned(second, seen + first.report.failed)
 
     def _learn(
         self,
@@ -373,9 +370,3 @@ def search_options(options: Mapping[str, Any], render: object, *, resumed: bool)
     if found.get("preset") == GLOBAL:
         found["preset"] = _SEARCH
     return found
-
-
-def _number(model: Model) -> int:
-    """Renders that a model has seen, and those of its own that have failed."""
-    report = model.report
-    return report.renders + report.held_out + report.failed

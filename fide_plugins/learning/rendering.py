@@ -13,8 +13,8 @@ import numpy as np
 
 from fide_plugins.errors import FideError, OptionError, RenderError
 from fide_plugins.fitting.processes import Processes
-from fide_plugins.fitting.rendering import Failed, Outcome, Rendered
-from fide_plugins.fitting.workers import DAEMON, Task, Workers, workers_for
+from fide_plugins.fitting.rendering import Failed, Outcome, Rendered, Task
+from fide_plugins.fitting.workers import DAEMON, Workers, workers_for
 from fide_plugins.learning.renders import SHARD, BatchRenderer, Pixels, RenderStore, Small
 from fide_plugins.types import Float64
 
@@ -129,7 +129,7 @@ def fill(
         jobs = _Jobs(_pool(renderer, store.size, workers, executor), executor)
         shards = _in_workers(store, renderer, missing, stop, jobs)
     else:
-        shards = _here(store, renderer, missing, stop)
+        shards = _in_this_process(store, renderer, missing, stop)
     try:
         for shard, images in shards:
             tally.add(shard, images, store.write(shard, images))
@@ -144,7 +144,7 @@ def fill(
         raise
 
 
-def _here(
+def _in_this_process(
     store: RenderStore, renderer: BatchRenderer, missing: Sequence[int], stop: float | None
 ) -> Iterator[tuple[int, list[Small]]]:
     for shard in missing:
@@ -161,7 +161,7 @@ def _in_workers(
     stop: float | None,
     jobs: _Jobs,
 ) -> Iterator[tuple[int, list[Small]]]:
-    """As `_here`, in the workers of a pool.
+    """As `_in_this_process`, in the workers of a pool.
 
     A shard whose worker dies is rendered again, one by one, to know which render it was.
     """
@@ -180,9 +180,10 @@ def _in_workers(
                 elif job.alone:
                     lost += 1
                 if lost == _MOST_LOST:
+                    why = outcome.reason if isinstance(outcome, Failed) else ""
                     raise RenderError(
                         f"{renderer.name} failed in its worker {lost} times in a row, perhaps for "
-                        f"lack of memory; try fewer workers; the last time: {_reason(outcome)}"
+                        f"lack of memory; try fewer workers; the last time: {why}"
                     )
                 job.take(outcome, jobs.only)
                 if len(job.images) == len(job.points):
@@ -298,10 +299,6 @@ class _Job:
             self.suspect, self.alone = self.alone, True
             return
         self.suspect = False
-
-
-def _reason(outcome: Outcome) -> str:
-    return outcome.reason if isinstance(outcome, Failed) else ""
 
 
 def check_workers(renderer: BatchRenderer, workers: int, executor: object = None) -> None:

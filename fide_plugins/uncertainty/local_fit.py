@@ -83,7 +83,7 @@ class LocalFit:
         return energy_of(self.changes)
 
     @property
-    def here(self) -> Float64:
+    def at_solution(self) -> Float64:
         """Features (f,) that the model predicts for the solution itself."""
         predicted: Float64 = self.features - self.center @ self.J
         return predicted
@@ -110,7 +110,7 @@ class FitToTarget(NamedTuple):
     @property
     def residual(self) -> Float64:
         """(f',), features of the target that those of the solution lack."""
-        missing: Float64 = self.target - self.fit.here
+        missing: Float64 = self.target - self.fit.at_solution
         return missing
 
 
@@ -273,11 +273,11 @@ def unseen(fit: LocalFit, from_afar: Sequence[LocalFit], most: float, rounding: 
     steps: Float64 = basis @ changes.eigenvectors[:, changes.eigenvalues <= most]
     for other in from_afar:
         if steps.shape[1]:
-            steps = _unseen_there(steps, fit, other, rounding)
+            steps = _unseen_by_both(steps, fit, other, rounding)
     return steps
 
 
-def _unseen_there(steps: Float64, fit: LocalFit, other: LocalFit, rounding: float) -> Float64:
+def _unseen_by_both(steps: Float64, fit: LocalFit, other: LocalFit, rounding: float) -> Float64:
     """Those of the directions (d, m) of a model that another does not resolve either.
 
     They have the error of the first model, too, which counts beside that of the other.

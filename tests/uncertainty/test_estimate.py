@@ -1,4 +1,4 @@
-"""`Solution.std`: which samples count, when it is computed, and to what it belongs."""
+"""Standard deviations from samples of a search: the linear model, and the estimate."""
 
 from __future__ import annotations
 
@@ -17,17 +17,142 @@ from fide_plugins.search.scene import Axes
 from fide_plugins.space import Choice, Float, Int, Space
 from fide_plugins.types import Float32, Float64
 from fide_plugins.uncertainty import (
+    FitToTarget,
     LocalEstimate,
     LocalFit,
+    covariance,
     estimate,
     fit_locally,
     samples as selection,
 )
-from fide_plugins.uncertainty.local_fit import FitToTarget, _inverse, deviations
+from fide_plugins.uncertainty.local_fit import WIDER, _inverse, deviations
 from fide_plugins.uncertainty.samples import aligned
 
-D, SIDE = 5, 16
-RAMPS = np.random.default_rng(2).uniform(-1, 1, (D, SIDE, SIDE, 3)) / D
+D, F, N = 6, 300, 400
+MIXING = np.random.default_rng(1).normal(size=(D, F))
+HERE = np.full(D, 0.4)
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(7)
+
+
+def fitted(
+    rng: np.random.Generator, *, noise: float = 0.0, mixing: Float64 = MIXING, width: float = 0.3
+) -> LocalFit:
+    """At HERE, from images that are linear in the parameters."""
+    u = rng.uniform(-width, width, size=(N, D))
+    e = (HERE + u) @ mixing + noise * rng.normal(size=(N, F))
+    return fit_locally(u, e, np.square(e - HERE @ mixing).sum(axis=1))
+
+
+def test_a_linear_renderer_is_found_exactly(rng: np.random.Generator) -> None:
+    fit = fitted(rng)
+    np.testing.assert_allclose(fit.J, MIXING, rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(fit.at_solution, HERE @ MIXING, atol=1e-3)
+
+
+def test_the_covariance_is_that_of_least_squares(rng: np.random.Generator) -> None:
+    """Of a target with noise, at the parameters that fit it best: sigma^2 (J J^T)^-1."""
+    fit, sigma = fitted(rng), 0.05
+    exact = np.sqrt(np.diag(sigma**2 * np.linalg.inv(MIXING @ MIXING.T)))
+    noise = sigma * rng.normal(size=F)
+    explained = np.linalg.lstsq(MIXING.T, noise, rcond=None)[0]  # of a search that is not over
+    target = HERE @ MIXING + noise - explained @ MIXING
+    found = np.sqrt(np.diag(covariance(FitToTarget(fit, target, F))))
+    sample = np.sqrt(np.square(noise - explained @ MIXING).mean()) / sigma  # of this noise
+    np.testing.assert_allclose(found, sample * exact, rtol=0.03)
+
+
+def test_a_search_that_has_converged_knows_no_more_than_the_noise_of_the_target_says(
+    rng: np.random.Generator,
+) -> None:
+    """Clean renders: the samples lie together, and the truth is as far away as ever."""
+    sigma = 0.05
+    exact = np.sqrt(np.diag(sigma**2 * np.linalg.inv(MIXING @ MIXING.T)))
+    noise = sigma * rng.normal(size=F)
+    left = noise - np.linalg.lstsq(MIXING.T, noise, rcond=None)[0] @ MIXING
+    sample = np.sqrt(np.square(left).mean()) / sigma  # of this noise
+    for last in (1e-2, 1e-4, 1e-6):
+        u = np.geomspace(0.3, last, N)[:, None] * rng.uniform(-1, 1, size=(N, D))
+        e = (HERE + u) @ MIXING
+        fit = fit_locally(u, e, np.square(e - HERE @ MIXING).sum(axis=1))
+        found = np.sqrt(np.diag(covariance(FitToTarget(fit, HERE @ MIXING + left, F))))
+        np.testing.assert_allclose(found, sample * exact, rtol=0.03)
+
+
+def test_noise_of_the_renders_is_not_taken_for_knowledge(rng: np.random.Generator) -> None:
+    """A parameter without effect: its column of the Jacobian is noise, and nothing else."""
+    blind = MIXING.copy()
+    blind[2] = 0.0
+    for noise in (0.0, 0.5):
+        fit = fitted(rng, noise=noise, mixing=blind)
+        target = HERE @ blind + 0.05 * rng.normal(size=F)
+        std = np.sqrt(np.diag(covariance(FitToTarget(fit, target, F))))
+        reach = WIDER**2 * fit.cloud[2, 2]  # of samples that look alike
+        assert std[2] == pytest.approx((12 + 1 / reach) ** -0.5, rel=0.1)
+        assert 0.2 < std[2] < 12**-0.5
+        assert np.delete(std, 2).max() < 0.03
+
+
+def test_the_error_of_an_unfinished_search_counts(rng: np.random.Generator) -> None:
+    """The farther the target is from what is rendered here, the wider the interval."""
+    fit = fitted(rng)
+    away = rng.normal(size=D)
+    away /= np.linalg.norm(away)
+    stds = []
+    for length in (0.01, 0.02, 0.04):
+        target = (HERE + length * away) @ MIXING
+        stds.append(np.sqrt(np.diag(covariance(FitToTarget(fit, target, F)))))
+        z = np.abs(length * away / stds[-1])
+        assert 0.4 < np.sqrt(np.square(z).mean()) < 2.0
+    np.testing.assert_allclose(stds[1], 2 * stds[0], rtol=0.05)
+    np.testing.assert_allclose(stds[2], 4 * stds[0], rtol=0.1)
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say(rng: np.random.Generator) -> None:
+    """Of least squares fits to noisy targets with noisy renders: 90 %, give or take chance."""
+    inside = []
+    for _ in range(60):
+        fit = fitted(rng, noise=0.1)
+        clean = HERE @ MIXING
+        noisy = clean + 0.1 * rng.normal(size=F)
+        wrong = np.linalg.lstsq(MIXING.T, noisy - clean, rcond=None)[0]  # the minimum, less HERE
+        std = np.sqrt(np.diag(covariance(FitToTarget(fit, noisy - wrong @ MIXING, F))))
+        inside.append(np.abs(wrong) <= 1.645 * std)
+    assert 0.84 < np.mean(inside) < 0.96  # five standard errors of 360
+
+
+def test_a_step_along_which_nothing_changes_is_unseen_however_short(
+    rng: np.random.Generator,
+) -> None:
+    """A search that has converged, in all parameters alike; curvature is its only error."""
+    blind = MIXING.copy()
+    blind[2] = 0.0
+    u = np.geomspace(0.3, 1e-6, N)[:, None] * rng.uniform(-1, 1, size=(N, D))
+    e = (HERE + u) @ blind + np.square(u) @ np.abs(blind)
+    distances = np.square(e - HERE @ blind).sum(axis=1)
+    fit = fit_locally(u, e, distances)
+    model = FitToTarget(fit, HERE @ blind, F, float(distances.max()))
+    std = np.sqrt(np.diag(covariance(model)))
+    assert std[2] == pytest.approx(12**-0.5, rel=1e-3)
+    assert np.delete(std, 2).max() < 1e-3
+
+
+def test_a_parameter_with_a_small_effect_is_seen(rng: np.random.Generator) -> None:
+    small = MIXING.copy()
+    small[2] *= 1e-3
+    u = np.geomspace(0.3, 1e-4, N)[:, None] * rng.uniform(-1, 1, size=(N, D))
+    e = (HERE + u) @ small + 1e-7 * rng.normal(size=(N, F))
+    distances = np.square(e - HERE @ small).sum(axis=1)
+    fit = fit_locally(u, e, distances)
+    target = HERE @ small + 1e-5 * rng.normal(size=F)
+    assert covariance(FitToTarget(fit, target, F, float(distances.max())))[2, 2] < 0.01**2
+
+
+DIM, SIDE = 5, 16
+RAMPS = np.random.default_rng(2).uniform(-1, 1, (DIM, SIDE, SIDE, 3)) / DIM
 RAMPS[3] = 0.0  # of which the picture says nothing
 TRUTH = np.array([0.3, 0.6, 0.45, 0.5, 0.7])
 
@@ -38,7 +163,7 @@ def render(X: Float64) -> Float32:
 
 
 def run(evaluations: int = 400, seed: int = 1, **options: object) -> FIDE:
-    opt = FIDE(D, render(TRUTH[None])[0], seed=seed, popsize=10, encoder="patch", **options)  # type: ignore[arg-type]
+    opt = FIDE(DIM, render(TRUTH[None])[0], seed=seed, popsize=10, encoder="patch", **options)  # type: ignore[arg-type]
     while opt.evaluations < evaluations:
         X = opt.ask()
         opt.tell(X, render(X))
@@ -115,12 +240,12 @@ def test_saved_and_pickled_it_is_the_same(tmp_path: Path) -> None:
 
 
 def test_few_samples_say_nothing() -> None:
-    opt = FIDE(D, render(TRUTH[None])[0], seed=1, popsize=10)
+    opt = FIDE(DIM, render(TRUTH[None])[0], seed=1, popsize=10)
     X = opt.ask()
     opt.tell(X, render(X))
     assert opt.best is not None and opt.best.std is None
     assert run(100, memory_mb=0).best.std is None  # type: ignore[union-attr]
-    opt = FIDE(D, render(TRUTH[None])[0], seed=1)
+    opt = FIDE(DIM, render(TRUTH[None])[0], seed=1)
     opt.tell(X, losses=np.arange(len(X), dtype=float))
     assert opt.best is not None and opt.best.std is None
 
@@ -204,9 +329,9 @@ def test_points_may_come_back_in_single_precision(kind: type) -> None:
 
 
 def test_a_parameter_that_never_moved_is_open() -> None:
-    X = np.random.default_rng(0).random((200, D))
+    X = np.random.default_rng(0).random((200, DIM))
     X[:, 1] = 0.5
-    opt = FIDE(D, render(TRUTH[None])[0], seed=1, encoder="patch")
+    opt = FIDE(DIM, render(TRUTH[None])[0], seed=1, encoder="patch")
     opt.tell(X, render(X))
     assert opt.best is not None and opt.best.std is not None
     assert opt.best.std[1] == pytest.approx(12**-0.5)
@@ -385,10 +510,10 @@ def test_of_images_that_are_all_equal_every_parameter_is_open() -> None:
 @pytest.mark.parametrize(("known", "factor"), [(1e6, 1.001), (1e12, 1.01), (1e18, 3), (1e24, 3)])
 def test_what_one_direction_hides_is_open(known: float, factor: float) -> None:
     """Identity: 12 I + k u u^T has the inverse (I - u u^T) / 12 + u u^T / (12 + k)."""
-    u = np.random.default_rng(0).normal(size=D)
+    u = np.random.default_rng(0).normal(size=DIM)
     along = np.outer(u, u) / (u @ u)
-    inverse = _inverse(12 * np.eye(D) + known * along)
-    expected = (np.eye(D) - along) / 12 + along / (12 + known)
+    inverse = _inverse(12 * np.eye(DIM) + known * along)
+    expected = (np.eye(DIM) - along) / 12 + along / (12 + known)
     ratio = np.sqrt(np.diag(inverse) / np.diag(expected))
     assert (ratio > 1 / factor).all() and (ratio < factor).all()
 
@@ -397,9 +522,9 @@ def test_what_one_direction_hides_is_open(known: float, factor: float) -> None:
 def test_samples_in_the_last_digits_that_differ_in_one_direction(width: float) -> None:
     """The precision along it hides the others behind its last digits: they count as open."""
     rng = np.random.default_rng(0)
-    u = width * rng.normal(size=(200, D))
+    u = width * rng.normal(size=(200, DIM))
     u -= u[0]
-    e = np.outer(np.tanh(u @ rng.normal(size=D) / width), rng.normal(size=50))
+    e = np.outer(np.tanh(u @ rng.normal(size=DIM) / width), rng.normal(size=50))
     distances = np.square(e).sum(axis=1)
     distances[0] = distances[1:].min()
     model = FitToTarget(fit_locally(u, e, distances), np.ones(50), 50, distances.max())

@@ -158,7 +158,11 @@ class SearchSpace:
 
     def snap(self, x: Float64) -> Float64:
         """Point (dim,) that encodes the parameters of a point x (dim,)."""
-        return self.encode(self.decode(x))
+        if self._converted or self.space is None:
+            return self.encode(self.decode(x))
+        layout = self.space.layout
+        point: Float64 = layout.points(layout.numbers(x[None]))[0]
+        return point
 
     def holds(self, trial: FrozenTrial) -> bool:
         """Whether the trial has all of these parameters, of these kinds and within these ranges."""

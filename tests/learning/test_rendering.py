@@ -1,10 +1,13 @@
-"""Renders on a real Dask scheduler and two workers, in processes of their own."""
+"""Renders in executors, and on a cluster."""
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
+import threading
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +16,84 @@ import pytest
 
 import fide_tasks
 from fide_plugins.cli import main
-from fide_plugins.errors import RenderError
+from fide_plugins.errors import OptionError, RenderError
+from fide_plugins.fitting.workers import DAEMON
 from fide_plugins.learning import LearnProgress, Model, learn, rendering
 from fide_plugins.learning.rendering import fill
 from fide_plugins.learning.renders import RenderStore, as_renderer
 from fide_plugins.runtime import machine as cluster_module
 from fide_plugins.types import Float64
 
+SIDE = 16
+
+
+def plain(x: Float64) -> Float64:
+    """Gray gradient by two numbers."""
+    return np.outer(np.linspace(0, x[0], SIDE), np.linspace(0, x[1], SIDE))
+
+
+def store(folder: Path) -> RenderStore:
+    return RenderStore(folder, {"dim": 2, "size": [SIDE, SIDE], "seed": 0, "renderer": "plain"})
+
+
+def test_an_executor_renders_the_same_and_is_left_open(tmp_path: Path) -> None:
+    lock = threading.Lock()  # which no process would take
+
+    def locked(x: Float64) -> Float64:
+        with lock:
+            return plain(x)
+
+    here, there = store(tmp_path / "here"), store(tmp_path / "there")
+    fill(here, as_renderer(plain, 2), 300)
+    with ThreadPoolExecutor(2) as threads:
+        fill(there, as_renderer(locked, 2), 300, executor=threads, workers=2)
+        assert threads.submit(int, "7").result() == 7
+    for one, two in zip(here.read(300), there.read(300), strict=True):
+        np.testing.assert_array_equal(one, two)
+
+
+def test_an_executor_that_ends_is_said_and_what_was_rendered_is_kept(tmp_path: Path) -> None:
+    made, threads = store(tmp_path), ThreadPoolExecutor(1)
+    with pytest.raises(RenderError, match="takes no more renders .*shutdown.* give another one"):
+        fill(
+            made,
+            as_renderer(plain, 2),
+            10_000,
+            executor=threads,
+            on_progress=lambda done: threads.shutdown(),
+        )
+    assert 1 <= len(list(tmp_path.glob("*.npz"))) < 100
+
+
+def test_what_is_no_executor_is_refused_before_anything_is_rendered(tmp_path: Path) -> None:
+    with pytest.raises(OptionError, match="executor must be 'processes', 'threads', an executor"):
+        learn(plain, 2, out=tmp_path / "m", executor="tcp://host:8786")
+    assert not list(tmp_path.iterdir())
+
+
+def refused_in_a_pool(out: Path) -> str:
+    """Why this process, which is daemonic, does not learn with workers; it does without."""
+    fill(store(out / "store"), as_renderer(plain, 2), 10, workers=1)
+    try:
+        learn(plain, 2, out=out / "m", workers=2)
+    except OptionError as error:
+        return str(error)
+    return ""
+
+
+@pytest.mark.thorough
+def test_a_process_that_may_start_no_other_is_told_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(Path(__file__).parents[2])  # where the new process finds `tests`
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        said = pool.map(refused_in_a_pool, [tmp_path])[0]
+    assert said == f"{DAEMON}; give workers=0"
+    assert [path.name for path in tmp_path.iterdir()] == ["store"]
+
+
 distributed = pytest.importorskip("distributed", reason="needs the extra dask")
 
-SIDE = 16
 SCENE = """
 import numpy as np
 from fide_plugins import Float, Space
@@ -59,7 +130,7 @@ def client(cluster: Any) -> Iterator[Any]:
         yield client
 
 
-def store(folder: Path, dim: int = 2) -> RenderStore:
+def store_in(folder: Path, dim: int = 2) -> RenderStore:
     return RenderStore(folder, {"dim": dim, "size": [SIDE, SIDE], "seed": 0, "renderer": "r"})
 
 
@@ -102,7 +173,7 @@ def test_a_lost_worker_costs_the_shard_it_rendered(client: Any, tmp_path: Path) 
                 os.kill(os.getpid(), signal.SIGKILL)
         return np.outer(np.linspace(0, x[0], side), np.linspace(0, x[1], side))
 
-    kept = store(tmp_path / "store")
+    kept = store_in(tmp_path / "there")
     fill(kept, as_renderer(once_deadly, 2), 600, executor=client, workers=2)
     assert Path(mark).exists() and len(kept.read(600)[0]) == 600
     assert 600 < len(Path(calls).read_text()) <= 600 + 2 * 100
@@ -112,7 +183,7 @@ def test_a_lost_worker_costs_the_shard_it_rendered(client: Any, tmp_path: Path) 
 @pytest.mark.skipif(os.name == "nt", reason="signals")
 def test_a_render_that_ends_every_worker_is_one_that_failed(client: Any, tmp_path: Path) -> None:
     """With a worker what it had rendered is lost, too: nothing else may be counted as failed."""
-    made = store(tmp_path)
+    made = store_in(tmp_path)
     x = np.concatenate([made.parameters(shard) for shard in range(2)])
     side, worst = SIDE, float(np.sort(x[:, 0])[1])  # of two
 
@@ -135,7 +206,7 @@ def test_a_lost_scheduler_is_said_and_what_was_rendered_is_kept(
         n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0"
     )
     with cluster, distributed.Client(cluster, timeout=1, set_as_default=False) as client:
-        made = store(tmp_path, 10)
+        made = store_in(tmp_path, 10)
         with pytest.raises(RenderError, match="the scheduler of the Dask cluster is lost"):
             fill(
                 made,

@@ -1,23 +1,337 @@
-"""Images of two renderers are not learned together, whatever the source says."""
+"""What renders, and whether it is what rendered before."""
 
 from __future__ import annotations
 
 import sys
+import warnings
+import weakref
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from fide_lab import run as harness
+from fide_lab.run.task import RendererTask
+from fide_plugins import fit
 from fide_plugins.cli import main
-from fide_plugins.errors import OptionError, RenderError
+from fide_plugins.errors import ImageError, OptionError, RenderError
 from fide_plugins.learning import Model, learn, renders as identity
 from fide_plugins.learning.rendering import fill
-from fide_plugins.learning.renders import SHARD, RenderStore, as_renderer, check_images
+from fide_plugins.learning.renders import SHARD, Pixels, RenderStore, as_renderer, check_images
 from fide_plugins.renderers import CommandRenderer
 from fide_plugins.space import Float, Space
 from fide_plugins.types import Float64
 from tests.learning.conftest import SIDE
+
+WIDTH = 16
+
+
+def plain(x: Float64) -> Float64:
+    """Gray gradient by two numbers."""
+    return np.outer(np.linspace(0, x[0], WIDTH), np.linspace(0, x[1], WIDTH))
+
+
+class Task:
+    """A task that renders by a function of one point.
+
+    most: points of a batch that it can render.
+    """
+
+    dim, name = 2, "task"
+
+    def __init__(self, render: Any, most: int) -> None:
+        self._render, self._most = render, most
+
+    def render(self, X: Float64) -> Any:
+        if len(X) > self._most:
+            raise MemoryError("too many")
+        return [self._render(x) for x in X]
+
+
+ONE_BY_ONE = ["function", "points of a task", "own renderer as a task"]
+WAYS = [*ONE_BY_ONE, "batches of a task"]
+
+
+def way(render: Any, how: str) -> Any:
+    """One of the ways in which a renderer may be given."""
+    if how == "function":
+        return render
+    if how == "own renderer as a task":
+        return RendererTask("task", render, 2)
+    return Task(render, 1 if how == "points of a task" else 100)
+
+
+def renders(source: Any, folder: Path) -> tuple[Float64, Pixels]:
+    """A shard, from disk."""
+    store = RenderStore(folder, {"dim": 2, "size": [WIDTH, WIDTH], "seed": 0})
+    fill(store, as_renderer(source, 2), 100)
+    return store.read(100)
+
+
+@pytest.mark.parametrize("how", ONE_BY_ONE)
+def test_all_images_may_be_drawn_into_one_array(how: str, tmp_path: Path) -> None:
+    buffer = np.empty((WIDTH, WIDTH))
+
+    def reusing(x: Float64) -> Float64:
+        buffer[:] = plain(x)
+        return buffer
+
+    found = renders(way(reusing, how), tmp_path / "found")
+    expected = renders(plain, tmp_path / "expected")
+    np.testing.assert_array_equal(found[1], expected[1])
+
+
+@pytest.mark.parametrize("how", ONE_BY_ONE)
+def test_full_images_are_not_kept(how: str, tmp_path: Path) -> None:
+    there: list[weakref.ref[Float64]] = []
+    most = 0
+
+    def large(x: Float64) -> Float64:
+        nonlocal most
+        image = np.full((4 * WIDTH, 4 * WIDTH), x[0])
+        there.append(weakref.ref(image))
+        most = max(most, sum(each() is not None for each in there))
+        return image
+
+    renders(way(large, how), tmp_path)
+    assert len(there) == 100 and most <= 2
+
+
+@pytest.mark.parametrize("how", WAYS)
+def test_a_renderer_may_change_its_argument(how: str, tmp_path: Path) -> None:
+    def careless(x: Float64) -> Float64:
+        image = plain(x)
+        x *= 0.5
+        return image
+
+    x, images = renders(way(careless, how), tmp_path / "found")
+    expected = renders(plain, tmp_path / "expected")
+    np.testing.assert_array_equal(x, expected[0])
+    np.testing.assert_array_equal(images, expected[1])
+
+
+@pytest.mark.parametrize("how", WAYS)
+@pytest.mark.parametrize("fails", ["raises", "exits", "is no image"])
+def test_a_renderer_may_fail_in_the_middle_of_the_space(how: str, fails: str) -> None:
+    def singular(x: Float64) -> Float64:
+        if x[0] != 0.5:
+            return plain(x)
+        if fails == "raises":
+            raise ZeroDivisionError
+        if fails == "exits":
+            sys.exit("no light")
+        return np.full((WIDTH, WIDTH), np.nan)
+
+    assert as_renderer(way(singular, how), 2).first_shape() == ((WIDTH, WIDTH), False)
+
+
+@pytest.mark.parametrize("how", WAYS)
+def test_a_renderer_that_fails_everywhere_says_what_happened_in_the_middle(how: str) -> None:
+    def lightless(x: Float64) -> Float64:
+        sys.exit(f"no light at {x[0]}")
+
+    def endless(x: Float64) -> Float64:
+        return np.full((WIDTH, WIDTH), np.inf)
+
+    why = "in the middle of the space, and at 4 other points: SystemExit: no light at 0.5$"
+    with pytest.raises(RenderError, match=why):
+        learn(way(lightless, how), 2)
+    name = "endless" if how == "function" else "task"
+    with pytest.raises(ImageError, match=f"the image of {name} .*inf"):
+        learn(way(endless, how), 2)
+
+
+@pytest.mark.parametrize("how", WAYS)
+def test_a_render_that_exits_has_failed(how: str, tmp_path: Path) -> None:
+    def fragile(x: Float64) -> Float64:
+        if x[0] < 0.2:
+            sys.exit(1)
+        return plain(x)
+
+    x, _ = renders(way(fragile, how), tmp_path)
+    assert 50 < len(x) < 100 and x[:, 0].min() >= 0.2
+
+
+def test_an_image_that_is_none_is_called_the_renderers(tmp_path: Path) -> None:
+    def odd(x: Float64) -> Any:
+        return plain(x) if x[0] == 0.5 else np.zeros(3)
+
+    with pytest.raises(RenderError, match="the first one: the image of odd must have axes"):
+        learn(odd, 2, renders=500, size=WIDTH)
+
+
+@pytest.mark.parametrize("how", WAYS)
+def test_images_of_another_aspect_have_failed(how: str) -> None:
+    """They would be stretched; those of another size alone are taken."""
+
+    def cropped(x: Float64) -> Float64:
+        if x[0] < 0.2:
+            return plain(x)[: WIDTH // 2]
+        return plain(x).repeat(2, axis=0).repeat(2, axis=1) if x[0] < 0.4 else plain(x)
+
+    report = learn(way(cropped, how), 2, renders=200, size=WIDTH, passes=1).report
+    x = [np.random.default_rng((0, shard)).random((100, 2)) for shard in range(2)]
+    assert report.failed == (np.concatenate(x)[:, 0] < 0.2).sum()
+
+
+def test_a_renderer_whose_images_differ_in_aspect_says_so() -> None:
+    def turned(x: Float64) -> Float64:
+        return plain(x)[: WIDTH // 2] if x[0] == 0.5 else plain(x)
+
+    why = r"image of turned has 16 x 16 pixels \(width x height\), and the first one had 16 x 8"
+    with pytest.raises(RenderError, match=why):
+        learn(turned, 2, renders=500, size=WIDTH)
+
+
+ARGUMENTS: dict[str, Any] = {"renders": 100, "size": SIDE, "passes": 1}
+
+
+class Gradient:
+    """Gray gradient by two numbers; counts its renders."""
+
+    name = "gradient"
+
+    def __init__(self, version: str | None = None, fingerprint: str | None = "own:1") -> None:
+        self.version, self.fingerprint, self.renders = version, fingerprint, 0
+
+    def __call__(self, x: Float64) -> Float64:
+        self.renders += 1
+        return np.outer(np.linspace(0, x[0], SIDE), np.linspace(0, x[1], SIDE))
+
+
+PICTURE = Gradient()(np.array([0.3, 0.8]))
+
+
+def fitted(render: Gradient, model: object) -> None:
+    """Fit the picture, by a model that has learned too little to know it."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "the model of 'gradient' has learned nothing like")
+        fit(render, PICTURE, 2, budget=5, workers=0, seed=0, learned=model)
+
+
+def run(render: Gradient, model: object) -> None:
+    """As `fitted`, by the loop of experiments."""
+    task = RendererTask("gradient", render, 2)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "the model of 'gradient' has learned nothing like")
+        harness.run(task, budget=5, options={"learned": model})
+
+
+def test_the_version_is_the_one_that_the_renderer_states(tmp_path: Path) -> None:
+    file = tmp_path / "m"
+    learn(Gradient("2"), 2, out=file, **ARGUMENTS)
+    assert Model.load(file).version == "2"
+    assert learn(Gradient("2"), 2, version="2", **ARGUMENTS).version == "2"
+    assert learn(Gradient(), 2, version="3", **ARGUMENTS).version == "3"
+    with pytest.raises(OptionError, match="its version is '2', not '3'"):
+        learn(Gradient("3"), 2, out=file, **ARGUMENTS)
+
+
+@pytest.mark.parametrize(
+    ("own", "version", "message"),
+    [
+        ("1", "2", "version is '2', and the renderer gradient states '1': leave out version"),
+        (None, 2, "version is a text such as '2', or None, not 2"),
+        (2, None, "the version of gradient is a text such as '2', or None, not 2"),
+    ],
+)
+def test_a_version_that_does_not_fit_is_refused_before_a_render(
+    own: Any, version: Any, message: str
+) -> None:
+    render = Gradient(own)
+    with pytest.raises(OptionError, match=message):
+        learn(render, 2, version=version, **ARGUMENTS)
+    assert render.renders == 0
+
+
+@pytest.mark.parametrize("search", [fitted, run])
+def test_a_model_of_another_version_is_refused(
+    search: Callable[[Gradient, object], None], tmp_path: Path
+) -> None:
+    model = learn(Gradient("1"), 2, out=tmp_path / "m", **ARGUMENTS)
+    for learned in (model, tmp_path / "m"):
+        render = Gradient("2")
+        with pytest.raises(OptionError, match="learned version '1' of 'gradient'.*version '2'"):
+            search(render, learned)
+        assert render.renders == 0
+
+
+@pytest.mark.parametrize("search", [fitted, run])
+@pytest.mark.parametrize(
+    ("learned", "here", "warned"),
+    [("1", "1", False), ("1", None, True), (None, "1", True), (None, None, True)],
+)
+def test_a_changed_source_is_a_warning_where_no_version_vouches_for_it(
+    search: Callable[[Gradient, object], None], learned: str | None, here: str | None, warned: bool
+) -> None:
+    model = learn(Gradient(learned), 2, **ARGUMENTS)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        search(Gradient(here, "own:2"), model)
+    messages = [str(each.message) for each in caught]
+    assert messages == ["the model has learned 'gradient', " + CHANGED] * warned
+    assert {each.filename for each in caught} <= {__file__}  # the call, not our own files
+
+
+CHANGED = (
+    "and that is not what renders here, or it was changed since; learn it again if its images are "
+    "others now"
+)
+
+SCENE = """
+import numpy as np
+from fide_plugins import Float, Space
+
+space = Space(left=Float(0, 1), right=Float(0, 1))
+
+
+def render(params):
+    return np.repeat(np.linspace(params["left"], params["right"], 16)[None], 16, axis=0)
+"""
+
+
+def fide(*words: object) -> int:
+    return main([str(word) for word in words])
+
+
+@pytest.fixture
+def versioned(empty_folder: Path) -> Callable[[str], str]:
+    """Writes a scene of some version into a folder of its own; returns the reference."""
+
+    def write(version: str) -> str:
+        folder = empty_folder / f"v{version}"
+        folder.mkdir(exist_ok=True)
+        text = f"{SCENE}\n\nrender.version = {version!r}  # {len(list(folder.parent.iterdir()))}\n"
+        (folder / "scene.py").write_text(text)
+        return f"v{version}/scene.py:render"
+
+    return write
+
+
+def test_commands_refuse_a_model_of_another_version(
+    versioned: Callable[[str], str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    from PIL import Image
+
+    Image.new("L", (16, 16), 100).save("t.png")
+    learned = ("learn", versioned("1"), "--size", 16, "--passes", 1, "--renders", 100)
+    assert fide(*learned, "--out", "m.fide") == 0
+    assert Model.load("m.fide").version == "1"
+    assert fide(*learned, "--out", "n.fide", "--version", "9") == 2
+    assert "version is '9', and the renderer scene.py:render states '1'" in capsys.readouterr().err
+    other = versioned("2")
+    for words in (
+        ("fit", "t.png", "--renderer", other, "--workers", 0, "--learned", "m.fide"),
+        ("run", other, "--learned", "m.fide"),
+        ("compare", other, "--optimizers", "cma,fide:learned=m.fide", "--seeds", 1),
+    ):
+        assert fide(*words, "--budget", 20, "--out", "r") == 2
+        error = capsys.readouterr().err
+        assert "the model has learned version '1' of 'scene.py:render'" in error
+        assert error.count("\n") == 1 and not Path("r").exists()
+
 
 REFUSED = r"the renderer's images are not those in .*they differ by .* of 255 on average"
 
@@ -331,16 +645,6 @@ def test_a_program_that_has_changed_is_noticed(tmp_path: Path) -> None:
 
 
 SPACE = Space(x=Float(0.1, 0.9))
-SCENE = """
-import numpy as np
-from fide_plugins import Float, Space
-
-space = Space(left=Float(0, 1), right=Float(0, 1))
-
-
-def render(params):
-    return np.repeat(np.linspace(params["left"], params["right"], 16)[None], 16, axis=0)
-"""
 
 
 def test_the_command_goes_on_or_says_what_differs(
