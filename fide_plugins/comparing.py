@@ -58,6 +58,7 @@ def compare_anew(optimizer: FIDE, std: Float64 | None = None) -> None:
     order = np.argsort(compared.losses, kind="stable")
     results = list(compared.of(kept.x))
     start, now = Start(kept.x[order[0]].copy(), std), state.evaluations
+    blurs = state.scales.left
     state.retarget(evaluator.target_tokens, start, None)
     state.memory = Memory(optimizer.options.memory_mb)
     for i in order:
@@ -66,3 +67,4 @@ def compare_anew(optimizer: FIDE, std: Float64 | None = None) -> None:
     state.begin_after(now)
     state.comparisons += 1
     kept.rank(compared.losses)
+    state.begin_at_blurs(blurs)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -33,24 +33,34 @@ __all__ = ["Evaluation", "Evaluator", "Images", "Result"]
 Images: TypeAlias = Float32 | torch.Tensor
 """A canonical image or batch; a tensor is on a GPU, and stays there."""
 
-Result: TypeAlias = tuple[Float64, float, Images | None, torch.Tensor | None]
-"""x (d,), loss, image (H, W, 3), tokens (T, C) of one candidate."""
+Result: TypeAlias = tuple[Float64, float, Images | None, torch.Tensor | None, float]
+"""x (d,), loss, image (H, W, 3), tokens (T, C) of one candidate, and what the search is told."""
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Of n candidates: losses (n,), images (n, H, W, 3) and tokens (n, T, C), where known."""
+    """Of n candidates: losses (n,), images (n, H, W, 3) and tokens (n, T, C), where known.
+
+    batch: images as they were told, (n, H, W, 4) with a coverage.
+    blur: standard deviation in pixels at which tokens and `told` were computed.
+    told: losses (n,) at that blur, for the search; None: those of sharp images.
+    """
 
     losses: Float64
     images: Images | None
     tokens: torch.Tensor | None
+    batch: Images | None = None
+    blur: float = 0.0
+    told: Float64 | None = None
 
-    def of(self, points: Float64) -> Iterator[Result]:
-        """One result for each of the points (n, d)."""
-        nothing = [None] * len(points)
-        images: Iterable[Images | None] = nothing if self.images is None else self.images
-        tokens = nothing if self.tokens is None else [each.clone() for each in self.tokens]
-        return zip(points, self.losses.tolist(), images, tokens, strict=True)
+    def of(self, points: Float64, first: int = 0) -> Iterator[Result]:
+        """One result for each of the points (n, d), from the first on."""
+        nothing = [None] * (len(points) - first)
+        images: Iterable[Images | None] = nothing if self.images is None else self.images[first:]
+        tokens = nothing if self.tokens is None else [one.clone() for one in self.tokens[first:]]
+        losses, told = self.losses[first:], self.losses if self.told is None else self.told
+        each = losses.tolist(), images, tokens, told[first:].tolist()
+        return zip(points[first:], *each, strict=True)
 
 
 def _made(encoder: str | Callable[..., object], device: str, for_network: bool) -> PatchEncoder:
@@ -166,16 +176,6 @@ class Evaluator:
         comparison = self.comparison or self._compared_by()
         return comparison.residual(image)
 
-    def compare_at(self, blur: float) -> None:
-        """Compare renders and target at a blur, in pixels, from now on.
-
-        Losses and tokens of what was evaluated before are then of another comparison.
-        """
-        if self.comparison is None:
-            self.comparison = self._compared_by()
-        self.comparison.blur = blur
-        self.target_tokens = self.encoder.compute(self.comparison.target()[None])[0]
-
     def retargeted(
         self, target: object, loss: str | Callable[..., object] | None = None
     ) -> Evaluator:
@@ -193,6 +193,8 @@ class Evaluator:
                 "target only; give the one for the new target: retarget(picture, loss=...)"
             )
         other = copy.copy(self)
+        for cached in ("_blurring", "_blurred"):
+            other.__dict__.pop(cached, None)
         other.views, other.target = views, views.target
         other.loss = loss_of(views, loss or self.loss_name, device=self._device)
         other.encoder = encoder_of(views, self.encoder)
@@ -285,6 +287,7 @@ class Evaluator:
 
         Raises LossError or FeaturesError.
         """
+        told = batch
         if batch is not None and self.comparison is not None:
             compared = self.comparison.compare(batch)
             batch = batch[..., :3]
@@ -297,7 +300,41 @@ class Evaluator:
             shape = (n, *self.features_shape)
             taken = as_features(features, shape, self.encoder, version=version)
             tokens = taken if encode else None
-        return Evaluation(values, batch, tokens)
+        return Evaluation(values, batch, tokens, told)
+
+    def at_blur(self, results: Evaluation, blur: float, *, encode: bool = True) -> Evaluation:
+        """The same results with tokens, and losses for the search, of images at a blur.
+
+        blur: standard deviation in pixels; 0: sharp.  Those without images stay as they are.
+        """
+        batch = results.batch
+        if batch is None or (results.blur == blur and (results.tokens is not None or not encode)):
+            return results
+        if not blur:
+            again = self.evaluate(len(batch), batch, results.losses, encode=encode)
+            return replace(results, tokens=again.tokens, blur=0.0, told=None)
+        if isinstance(batch, torch.Tensor):
+            batch = batch.cpu().numpy()
+        compared = self._blurring.compare(batch, blur)
+        tokens = self.encoder.compute(compared.images) if encode else None
+        return replace(results, tokens=tokens, blur=blur, told=compared.losses)
+
+    def tokens_at(self, blur: float) -> torch.Tensor:
+        """Tokens (T, C) of the target at a blur, in pixels."""
+        if not blur:
+            return self.target_tokens
+        if blur not in self._blurred:
+            shown = self._blurring.target(blur)
+            self._blurred[blur] = self.encoder.compute(shown[None])[0]
+        return self._blurred[blur]
+
+    @cached_property
+    def _blurring(self) -> Comparison:
+        return self._compared_by() if self.comparison is None else self.comparison
+
+    @cached_property
+    def _blurred(self) -> dict[float, torch.Tensor]:
+        return {}
 
     def _takes_tensors(self, has_losses: bool) -> bool:
         loss_takes = isinstance(self.loss, LossOfTarget) and self.loss.takes_tensors

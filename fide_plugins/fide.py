@@ -29,7 +29,7 @@ All that changes while an optimizer runs is its `state` (`fide_plugins.state`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -39,8 +39,9 @@ from torch import Tensor
 from fide_plugins import encoders
 from fide_plugins.comparing import adapt_light
 from fide_plugins.comparison.kept import Kept
+from fide_plugins.comparison.scale_space import ScaleSpace
 from fide_plugins.encoders.base import PatchEncoder
-from fide_plugins.evaluation import Evaluation, Evaluator, Result
+from fide_plugins.evaluation import Evaluation, Evaluator
 from fide_plugins.options import Options, flat, make_options
 from fide_plugins.population import Candidate, CandidateRole, Population
 from fide_plugins.population.candidate import TrainingSample, columns, in_order
@@ -80,6 +81,7 @@ if TYPE_CHECKING:
 __all__ = ["FIDE", "Decision"]
 
 _ARGUMENTS = ("dim", "weights", "value_range", "x0", "sigma0", "seed")
+_COARSEST = 16  # pixels: smaller pictures are not blurred
 _STALLED = 20  # generations without improvement; or a quarter of all evaluations, if that is more
 
 
@@ -242,8 +244,21 @@ class FIDE(Saved):
             steps=make_steps(o, self.dim, k, self.encoder, learned=known),
             memory=Memory(o.memory_mb),
             grain=Grain(self.views),
+            scales=ScaleSpace(
+                self.views,
+                possible=self._may_blur and not known,
+                at_once=o.coarse_to_fine or (o.photo and o.coarse_to_fine is None),
+            ),
             kept=Kept(self.dim) if self.evaluator.comparison is not None else None,
         )
+
+    @property
+    def _may_blur(self) -> bool:
+        """Whether searches may begin coarse: with features, moves, and a loss of any target."""
+        o, sides = self.options, [side for view in self.views.views for side in view.size]
+        learns = o.proposer in ("both", "linear", "forward") and o.restarts == "moves"
+        wanted = learns and o.coarse_to_fine is not False and min(sides) >= _COARSEST
+        return wanted and self.loss_name is not None
 
     # -- ask: lines 4 and 5 ------------------------------------------------------------------------
 
@@ -373,7 +388,7 @@ class FIDE(Saved):
         self, z: Float64, search: Search, rng: np.random.Generator
     ) -> tuple[Float64, Float64]:
         """Proposals x and their z, (m, d) each, from samples of N(m, Sigma)."""
-        proposer, target = self.state.proposer, self.target_tokens
+        proposer, target = self.state.proposer, self._seen_target
         assert proposer is not None
         with timed(self.times, "train"):
             made = proposer.propose(search.stretched(z), target, search.mean, search.std, rng)
@@ -403,7 +418,7 @@ class FIDE(Saved):
 
     def _make_steps(self, n: int) -> Float64:
         """Steps (m, dim) that come before the next generation, at most n."""
-        state, search, target = self.state, self.state.search, self.target_tokens
+        state, search, target = self.state, self.state.search, self._seen_target
         if not state.has_steps:
             return np.empty((0, self.dim))
         assert state.steps is not None
@@ -485,9 +500,11 @@ class FIDE(Saved):
         clipping = self.state.clipping.copy()
         batch = evaluator.as_batch(n, images, losses, features, clipping)
         with timed(self.times, "encode"):  # lines 7 and 9
-            encode = self.state.proposer is not None
+            encode = self._encodes and (self.state.blur == 0.0 or losses is not None)
             results = evaluator.evaluate(n, batch, losses, features, version=version, encode=encode)
         self.state.clipping = clipping
+        if losses is not None and n:  # of a user: not at any blur
+            self.state.stay_sharp()
         if self.state.kept is not None and batch is not None:
             at, given = self.state.evaluations, losses is not None
             self.state.kept.note(points, batch, results.losses, at, given=given)
@@ -502,17 +519,28 @@ class FIDE(Saved):
         """Enter results of points (n, dim); each generation that becomes complete is finished."""
         self.same_images.note(points, results.images, results.losses)
         with timed(self.times, "search"):
-            self._enter_all(results.of(points), decision)
+            self._enter_all(points, results, decision)
 
-    def _enter_all(self, results: Iterator[Result], decision: Decision) -> None:
-        for result in results:
+    @property
+    def _encodes(self) -> bool:
+        return self.state.proposer is not None
+
+    def _enter_all(
+        self, points: Float64, results: Evaluation, decision: Decision, first: int = 0
+    ) -> None:
+        blur = self.state.blur
+        results = self.evaluator.at_blur(results, blur, encode=self._encodes)
+        for i, result in enumerate(results.of(points, first), first):
             self.state.record(*result)
             if self.state.population.complete:
                 try:
                     self._finish_generation(decision)
                 except BaseException:  # of training; all else goes on as if it had trained
-                    self._enter_all(results, decision)
+                    self._enter_all(points, results, decision, i + 1)
                     raise
+            if self.state.blur != blur:
+                self._enter_all(points, results, decision, i + 1)
+                return
 
     def _finish_generation(self, decision: Decision) -> None:
         """Train (line 8) and update the search distribution (line 10)."""
@@ -536,12 +564,12 @@ class FIDE(Saved):
             return
         if learned and state.gate.guarded:  # the gate judges the generation as a whole
             _, tokens, losses = columns(in_order(samples + learned))
-            state.gate.note_images(tokens, self.target_tokens, losses)
+            state.gate.note_images(tokens, self._seen_target, losses)
             del tokens
         if samples:
             x, tokens, losses = columns(samples)  # (n, d), (n, T, C), (n,)
             if not learned:
-                state.gate.note_images(tokens, self.target_tokens, losses)
+                state.gate.note_images(tokens, self._seen_target, losses)
             state.proposer.update(x, tokens, losses, state.search.std)
 
     def _train_early(self) -> None:
@@ -566,8 +594,10 @@ class FIDE(Saved):
         over, guided = decision
         if guided is None:
             guided = state.gate.guided
+        if state.begin_coarse(self.views.target):
+            return
         if over is None:
-            over = self.options.restarts != "none" and state.search.is_over(guided=guided)
+            over = self.options.restarts != "none" and state.is_over(guided=guided)
         if over:
             state.finish_search(guided=self.options.restarts == "moves" and guided)
 
@@ -748,6 +778,11 @@ class FIDE(Saved):
     def target_tokens(self) -> Tensor:
         """Tokens (T, C) of the target."""
         return self.evaluator.target_tokens
+
+    @property
+    def _seen_target(self) -> Tensor:
+        """Tokens (T, C) of the target as the present search sees it."""
+        return self.evaluator.tokens_at(self.state.blur)
 
     @property
     def views(self) -> Views:

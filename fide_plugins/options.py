@@ -120,6 +120,8 @@ class Options:
     guard_search: cut injected steps and limit the standard deviation, see `search.cma_es`.
     background_training: train the network while the user renders, see `proposers.diffusion`; the
         result is the same.
+    coarse_to_fine: begin searches with blurred images, see `comparison.scale_space`; None: where
+        the first candidates say that it helps, or with photo; True: from the first candidate on.
     memory_mb: MiB of tokens that are kept for `FIDE.retarget` and for `Solution.std`, see
         `search.memory`; 0 for none: then no std is known.
     photometric: light that is set aside before images are compared, for each render: "exposure"
@@ -143,6 +145,7 @@ class Options:
     guard_images: bool = _option(True, rules.switch)
     guard_search: bool = _option(True, rules.switch)
     background_training: bool = _option(True, rules.switch)
+    coarse_to_fine: bool | None = _option(None, rules.switch)
     memory_mb: float = _option(8.0, rules.not_negative)
     photometric: str | None = _option(None, rules.one_of("exposure", "shading", "auto"))
     robust: float | str | None = _option(None, rules.fraction_or("auto"))
@@ -165,7 +168,9 @@ class Options:
 
 PRESETS: Mapping[str, Options] = {
     "fast": Options(
-        proposer="linear", proposal=ProposalOptions(channel_subsets=(3,), buffer_generations=3)
+        proposer="linear",
+        coarse_to_fine=False,
+        proposal=ProposalOptions(channel_subsets=(3,), buffer_generations=3),
     ),
     "balanced": Options(),
     "accurate": Options(patience=25),
@@ -176,6 +181,7 @@ PRESETS: Mapping[str, Options] = {
         restarts="none",
         guard_images=False,
         guard_search=False,
+        coarse_to_fine=False,
         proposal=ProposalOptions(proposal_fraction=0.5, fraction_rate=0.0, select_tokens=False),
     ),
 }

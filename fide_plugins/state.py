@@ -16,6 +16,7 @@ import numpy as np
 import torch
 
 from fide_plugins.comparison.kept import Kept
+from fide_plugins.comparison.scale_space import NEXT, PATIENCE, ScaleSpace
 from fide_plugins.evaluation import Images
 from fide_plugins.population import Candidate, CandidateRole, Population
 from fide_plugins.population.candidate import Best, TrainingSample, columns, in_order
@@ -74,6 +75,7 @@ class State:
     injected: best point (d,) told in this generation that was a step or never asked, and its loss.
     search_best: best since the last search was over.  over_at: evaluations at that time.
     memory: samples for the next target and for `Solution.std`.
+    scales: the blur at which images are compared now.
     grain: noise of pixels, measured where a test renders one candidate twice.
     kept: the best renders; None where images are compared as they are.
     comparisons: how often it was changed how they are compared.
@@ -89,6 +91,7 @@ class State:
     gate: ImageGate = saved(anything)
     proposer: Proposer | None = saved(anything)
     grain: Grain = saved(anything)
+    scales: ScaleSpace = saved(anything)
     kept: Kept | None = saved(anything)
     memory: Memory = saved(anything)
     steps: GaussNewtonSteps | None = saved(anything, default=None)
@@ -149,12 +152,20 @@ class State:
         return self.search.preview(*population.members())
 
     def record(
-        self, x: Float64, loss: float, image: Images | None, tokens: torch.Tensor | None
+        self,
+        x: Float64,
+        loss: float,
+        image: Images | None,
+        tokens: torch.Tensor | None,
+        told: float,
     ) -> None:
-        """Enter one result: x (d,), its loss, its image (H, W, 3) and tokens (T, C), if known."""
-        finite = bool(np.isfinite(loss))
-        loss = loss if finite else np.inf
-        candidate = self.population.record(x, loss)
+        """Enter one result: x (d,), its loss, its image (H, W, 3) and tokens (T, C), if known.
+
+        told: loss for the search, of the image as blurred as its tokens.
+        """
+        finite = bool(np.isfinite(loss) and np.isfinite(told))
+        loss, told = (loss, told) if finite else (np.inf, np.inf)
+        candidate = self.population.record(x, told)
         number = self.population.new_index() if candidate is None else candidate.index
         if candidate is None:
             exact = x = self.search.clipped(x[None])[0]  # what is rendered at x
@@ -162,13 +173,15 @@ class State:
             exact = candidate.x  # x may have lost digits on its way
         if finite:
             if tokens is not None:
-                sample = TrainingSample(number, exact.copy(), tokens, loss, self.evaluations)
+                sample = TrainingSample(number, exact.copy(), tokens, told, self.evaluations)
                 self._keep(sample)
+            if image is not None and self.scales.useful is None:
+                self.scales.note(number, exact, _copied(image))
             testing = self.stage is Stage.EXCHANGE
             if image is not None and testing and np.array_equal(exact, self.moves.known.current.x):
                 self.grain.note(_copied(image))
             if candidate is None or candidate.role is CandidateRole.STEP:
-                self._inject(x, loss)
+                self._inject(x, told)
             if self.best is None or (loss, number) < (self.best.solution.loss, self.best.index):
                 shown = None if image is None else _copied(image)
                 solution = Solution(x.copy(), loss, self.evaluations, shown)
@@ -196,7 +209,8 @@ class State:
 
     def _keep(self, sample: TrainingSample) -> None:
         """Remember a sample until the generation is complete; too many of them, the latest."""
-        self.memory.add(sample)
+        if not self.blur:
+            self.memory.add(sample)
         self.samples.append(sample)
         if self.steps is not None:
             self.steps.add(sample)
@@ -228,6 +242,9 @@ class State:
 
         guided: whether images say where.
         """
+        if self.blur:
+            self._go_finer()
+            return
         spent = self.evaluations - self.over_at
         stage = self.moves.after_search(self.search_best, spent, guided=guided)
         self.search_best, self.over_at = None, self.evaluations
@@ -247,6 +264,73 @@ class State:
         self.population.forget_pending()
         if stage is Stage.SEARCH:
             self._begin_search()
+        elif stage is Stage.RESTART and self.moves.begins_coarse:
+            self.scales.begin()
+
+    # -- coarse to fine ----------------------------------------------------------------------------
+
+    @property
+    def blur(self) -> float:
+        """Standard deviation in pixels of the blur at which images are compared; 0: sharp."""
+        return self.scales.blur
+
+    def is_over(self, *, guided: bool) -> bool:
+        """Whether the present search is over; a coarse one, too, where it is as narrow as its blur.
+
+        guided: whether images guide it.  They do while they are blurred: the loss is of them.
+        """
+        if self.blur:
+            reach = 2 * self.scales.share * self.search.setting.sigma0
+            return self.search.is_over(guided=True) or bool((self.search.std < reach).all())
+        return self.search.is_over(guided=guided)
+
+    def begin_coarse(self, target: Float32) -> bool:
+        """Begin the first search again, coarse, if its first candidates say so.
+
+        target: packed.
+        """
+        x = self.scales.decide(target)
+        self.moves.known.blurs = bool(self.scales.useful)
+        if x is None:
+            return False
+        self.moves.start = replace(self.moves.start, mean=x)
+        self._begin_at_blur()
+        return True
+
+    def begin_at_blurs(self, blurs: list[float]) -> None:
+        """Begin the present search again with the first of these blurs, in sides; [] for none."""
+        if blurs:
+            self.scales.left = blurs
+            self._begin_at_blur()
+
+    def stay_sharp(self) -> None:
+        """Compare sharp images from now on; a coarse search goes on as a sharp one."""
+        coarse = self.blur > 0
+        self.scales.give_up()
+        self.moves.known.blurs = False
+        if coarse:
+            self.population.close_generation()
+            self.moves.stage, self.moves.start = Stage.SEARCH, Start(self._arrived, self.search.std)
+            self._begin_at_blur()
+
+    def _go_finer(self) -> None:
+        """Begin the next search of a series where the last one has arrived, less blurred."""
+        spread, x = self.search.std, self._arrived
+        widest = self.scales.go_on() * self.search.setting.sigma0
+        self.moves.start = Start(x, np.minimum(widest, NEXT * spread))
+        self._begin_at_blur()
+
+    def _begin_at_blur(self) -> None:
+        """Begin a search; what was evaluated at another blur is forgotten."""
+        self.samples, self.learned = [], []
+        self.search_best = self.injected = None
+        self._go_on(Stage.SEARCH)
+
+    @property
+    def _arrived(self) -> Float64:
+        """Best candidate (d,) of the present search, by the loss that it is told."""
+        best = self.search_best
+        return self.search.render_mean(self.search.mean) if best is None else best.x.copy()
 
     def begin_after(self, evaluations: int) -> None:
         """Count on from so many evaluations, and what has happened since from there."""
@@ -274,6 +358,7 @@ class State:
         self.begin_after(self.evaluations)
         self.improved_to = np.inf
         self.grain.forget_repeat()
+        self.scales.end()
         self.moves.retarget(target, start, posterior)
         self._begin_search()
 
@@ -310,12 +395,20 @@ class State:
     def _begin_search(self) -> None:
         """Begin where the moves say; what proposers and steps learned was of the last search."""
         self.searches += 1
-        self.moves.start = self.search.setting.valid_start(self.moves.start, self.searches)
-        self.search = Search(self.moves.start, self.moves.goal, self.search.setting)
+        start = self.search.setting.valid_start(self.moves.start, self.searches)
+        if self.blur:
+            start = replace(start, patience=PATIENCE)
+        self.moves.start = start
+        self.search = Search(start, self._goal, self.search.setting)
         if self.proposer is not None:
             self.proposer.forget()
         if self.steps is not None:
             self.steps.forget()
+
+    @property
+    def _goal(self) -> float:
+        """Loss that the search has to beat; blurred, it cannot be compared."""
+        return np.inf if self.blur else self.moves.goal
 
     def draw_moves(self, rng: np.random.Generator) -> Float64:
         """Candidates (n, d) of the present stage, which must not be SEARCH; valid ones only."""
@@ -359,7 +452,7 @@ class State:
     @property
     def _ends(self) -> list[TrainingSample]:
         ends = [optimum.sample for optimum in self.moves.known.optima.all]
-        return ends if self.search_best is None else [*ends, self.search_best]
+        return ends if self.search_best is None or self.blur else [*ends, self.search_best]
 
     def state_dict(self) -> dict[str, Any]:
         """All of it as nested dicts of arrays, tensors and numbers, those in use, not copies."""
@@ -382,8 +475,10 @@ class State:
         self.rng.bit_generator.state = state["rng"]
         self.population = Population.from_state(state["population"], sides["d"])
         self.moves.load_state_dict(state["moves"], device)
-        start, goal = self.moves.start, self.moves.goal
-        self.search = Search.from_state(state["search"], start, goal, self.search.setting)
+        self.scales.load_state_dict(state["scales"], sides)
+        self.moves.known.blurs = bool(self.scales.useful)
+        start, setting = self.moves.start, self.search.setting
+        self.search = Search.from_state(state["search"], start, self._goal, setting)
         self.gate.load_state_dict(state["gate"])
         if self.proposer is not None:
             self.proposer.load_state_dict(state["proposer"], sides)

@@ -17,14 +17,15 @@ is compared with B t.  So the loss `mse` of x' is the mean of (B a) c^2 |d|^2 / 
 of Geman and McClure.  What is not covered costs (1 - B a) b, with b 0.6 of what the target
 itself would cost with its pixels in another order: the background is of the target's colors.
 
-============  ==================================================================
-`comparison`  all of this for the views of a scene
-`light`       the light that brings a render nearest to the target
-`auto`        whether light tells the target from the renders
-`coverage`    renders that say which pixels they draw
-`kept`        the best renders, which are compared anew when the comparison changes
-`mismatch`    what explains a difference that no parameter removes
-============  ==================================================================
+=============  ==================================================================
+`comparison`   all of this for the views of a scene
+`light`        the light that brings a render nearest to the target
+`auto`         whether light tells the target from the renders
+`coverage`     renders that say which pixels they draw
+`kept`         the best renders, which are compared anew when the comparison changes
+`mismatch`     what explains a difference that no parameter removes
+`scale_space`  searches that begin blurred
+=============  ==================================================================
 """
 
 from __future__ import annotations

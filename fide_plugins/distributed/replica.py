@@ -78,6 +78,7 @@ class Replica:
 
     def __init__(self, optimizer: FIDE, snap: Callable[[Float64], Float64] = np.copy) -> None:
         self.optimizer = optimizer
+        optimizer.state.stay_sharp()  # features and losses of the log are of sharp images
         optimizer.state.steps = None  # they have no name that means the same to everybody
         self._snap = snap
         self.generation = 0

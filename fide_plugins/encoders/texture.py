@@ -118,7 +118,8 @@ def _sharpness(gray: Float32) -> Float64:
             found[-1] -= 0.5 * np.log((step**2).mean() + LEAST**2)
         height, width = gray.shape
         if min(height, width) > 3:
-            gray = cv2.resize(gray, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
+            half = cv2.resize(gray, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
+            gray = np.asarray(half, np.float32)
     return np.array(found)
 
 

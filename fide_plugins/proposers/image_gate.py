@@ -127,7 +127,8 @@ class ImageGate(Stateful):
         self._noted += 1
         squared = (tokens - target.to(tokens.device)).square()
         distances = [squared[..., :channels].sum(dim=(1, 2)) for channels in self._channel_subsets]
-        rho = np.mean([rank_correlation(d.cpu().numpy(), losses) for d in distances])
+        ranks = _ranks(losses)
+        rho = np.mean([_correlation(_ranks(d.cpu().numpy()), ranks) for d in distances])
         keep = float(np.exp(-n / _MEMORY))
         self._sum = keep * self._sum + n * float(rho)
         self._variance = keep**2 * self._variance + n**2 / (n - 1)
@@ -147,7 +148,11 @@ class ImageGate(Stateful):
 def rank_correlation(a: Float64, b: Float64) -> float:
     """Spearman's, of a (n,) and b (n,), in [-1, 1]; 0 where one of them is constant."""
     # written out: importing scipy.stats takes most of a second, and nothing else here needs it
-    u, v = _ranks(a), _ranks(b)
+    return _correlation(_ranks(a), _ranks(b))
+
+
+def _correlation(u: Float64, v: Float64) -> float:
+    """Of ranks u and v (n,) around 0; 0 where one of them is constant."""
     norm = float(np.sqrt((u @ u) * (v @ v)))
     return float(u @ v) / norm if norm > 0 else 0.0
 

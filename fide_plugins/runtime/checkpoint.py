@@ -32,7 +32,7 @@ from fide_plugins.errors import CheckpointError
 from .files import RefusedFileError, atomic_writer, open_regular
 from .schema import IMPOSSIBLE
 
-VERSION = 3
+VERSION = 4
 VERSION_REMEDY = "take the version of FIDE, and the weights, that wrote it"
 """What helps against a state whose features or losses are of another version."""
 _MAGIC = b"\x89FIDE\r\n\x1a"

@@ -92,6 +92,7 @@ class Known:
         without images.
     optima: distinct local optima.
     values: of integers and choices, and which of them were searched.
+    blurs: whether searches that begin coarse are useful here (`comparison.scale_space`).
 
     What was found of the scene (exchangeability, removal, sensitivity, optima, values) is described
     in its file of `search.scene`.
@@ -109,6 +110,7 @@ class Known:
     incumbent: TrainingSample | None = None
     optima: Optima = field(default_factory=Optima)
     values: Values = field(default_factory=Values)
+    blurs: bool = False
 
     @property
     def dim(self) -> int:
@@ -506,6 +508,23 @@ class RandomRestart(Move):
             return Start(mean, known.sigma0, 2 ** min((number + 1) // 2, _MOST_DOUBLINGS))
         widest = 10.0 ** (2.0 * rng.random())
         return Start(mean, known.sigma0 / widest, widest=widest)
+
+
+class Coarsen(RandomRestart):
+    """A new search from a random place that begins coarse: chosen by its gains, as moves are."""
+
+    name = "coarsen"
+    prior_gain = 0.3
+    from_incumbent = True  # measured from there
+    has_goal = True
+
+    def possible(self, known: Known) -> bool:
+        """Whether searches that begin coarse are useful here."""
+        return known.blurs
+
+    def begin_at(self, known: Known, x: Float64) -> Start:
+        """Begin around the best of them, as wide as the first search."""
+        return Start(x, known.sigma0.copy())
 
 
 _NARROW = 1 / 30  # of sigma0

@@ -53,6 +53,7 @@ from fide_plugins.search.hypotheses import Hypotheses, Resample, elsewhere, prob
 from fide_plugins.search.mixed import AxisLayout, Mixed
 from fide_plugins.search.moves import (
     ChangeValue,
+    Coarsen,
     Crossover,
     HalfTurn,
     Known,
@@ -195,7 +196,7 @@ class MovePolicy:
         self._resample = Resample(self.hypotheses)
         family: list[Move] = [
             Split(), Swap(), Crossover(), HalfTurn(), RelocateGroup(), RelocateSegment(),
-            self._refine, self._restart,
+            Coarsen(), self._refine, self._restart,
         ]  # fmt: skip
         if self.known.values.discrete.any():
             family.append(ChangeValue())
@@ -220,6 +221,11 @@ class MovePolicy:
         if incumbent is None or self.move is None or not self._the_move.has_goal:
             return np.inf
         return incumbent.loss
+
+    @property
+    def begins_coarse(self) -> bool:
+        """Whether the next search begins coarse, whatever was measured."""
+        return self.move == Coarsen.name
 
     @property
     def ended(self) -> list[int]:
@@ -425,6 +431,8 @@ class MovePolicy:
         known = self.known
         blocks = known.exchangeability.blocks
         if blocks is not None or not samples or not self._the_move.from_incumbent:
+            return best
+        if self.begins_coarse:  # the incumbent's tokens are of a sharp image
             return best
         here = changed(known.current.tokens, known.target, known.channels) ** 2
         errors = [changed(s.tokens, known.target, known.channels) ** 2 for s in samples]

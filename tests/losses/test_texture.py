@@ -17,7 +17,7 @@ def texture(seed: int, wavelength: float = 8, red: float = 0.8, size: int = 64) 
     ring = np.exp(-2 * np.log(np.maximum(np.hypot(y, x), 1e-6) * wavelength) ** 2)
     field = np.fft.ifft2(np.fft.fft2(rng.normal(size=(size, size))) * ring).real
     mix = 1 / (1 + np.exp(-3 * field / field.std()))[..., None]
-    return (mix * [red, 0.6, 0.3] + (1 - mix) * [0.2, 0.2, 0.4]).astype(np.float32)
+    return np.asarray(mix * [red, 0.6, 0.3] + (1 - mix) * [0.2, 0.2, 0.4], np.float32)
 
 
 @pytest.mark.parametrize("size", [(64, 64), (33, 50)])
@@ -72,7 +72,8 @@ def test_colors_of_a_texture_whose_places_are_random_are_found() -> None:
         while search.evaluations < 150:
             x = search.ask_ready()
             images = [
-                texture(int(rng.integers(1e9)), 4 + 12 * a, 0.3 + 0.7 * b) for a, b in np.asarray(x)
+                texture(int(rng.integers(10**9)), 4 + 12 * a, 0.3 + 0.7 * b)
+                for a, b in np.asarray(x)
             ]
             search.tell(x, images)
         found.append(search.recommend() * [12, 0.7] + [4, 0.3])

@@ -169,7 +169,10 @@ class Run:
         return points
 
     def tell(self, X: Float64, outcome: tuple[Any, Float32]) -> bool:
-        """Evaluate and tell images of a piece X (n, dim), and of extra points; record them."""
+        """Evaluate, tell and record a piece X (n, dim).
+
+        outcome: its images, and images (m, H, W, 3) of extra points.
+        """
         images, extra = outcome
         record, start = self.record, time.perf_counter()
         try:
@@ -214,7 +217,7 @@ class Run:
                 self._directory.write_frame(mark, image)
 
     def show(self, last: bool) -> None:
-        """Report the progress."""
+        """Report the progress; last: whether the run is over."""
         if self._on_progress is not None:
             self._on_progress(self.progress)
 

@@ -1,0 +1,188 @@
+"""Coarse first: the blur at which a search compares target and renders, until it is there.
+
+Thin or repeated structures have no basin of a useful width: unless a render is nearly right, its
+loss says nothing of how far it is.  Blurred, they have one (Witkin 1983, "Scale-space filtering").
+So a search may begin with all images blurred, loss, features and steps alike.  When it is over, or
+narrower than the blur, the next one begins at its best candidate with a smaller blur, and the last
+one with none.  Renders are sharp and so is `FIDE.best`; only what the search is told is not.
+
+Where regions are wide and flat a blur hides what counts.  So the first candidates decide: if their
+parameters follow better from blurred images than from sharp ones, by a linear model that has not
+seen them, the first search begins again, coarse.  From then on a search from a random place that
+begins coarse is one of the moves (`search.moves.Coarsen`), raced with the others.  Elsewhere
+nothing changes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from fide_plugins.comparison.comparison import blurred
+from fide_plugins.runtime.schema import anything, array, check, each, flag, maybe, real, whole
+from fide_plugins.types import Float32, Float64
+from fide_plugins.views import Views
+
+__all__ = ["ScaleSpace", "predictability"]
+
+BLURS = (0.05, 0.025, 0.0125)
+"""Standard deviations of one search after another, in sides of the image; then sharp."""
+WIDTHS = (0.6, 0.5, 0.4)
+"""Widest beginning of the searches that follow the first, of its beginning."""
+NEXT = 2.0  # times the spread of a search that is over: of the next one
+PATIENCE = 2  # of coarse searches, in units of the run's: their losses are small, and fall slowly
+_JUDGED = (0.04, 0.08)  # blurs that are compared with sharp images, in sides of the image
+_SEEN = 36  # candidates that decide
+_SIDE = 96  # pixels to which their images are reduced
+_LEAST_RATIO, _LEAST_GAIN = 1.1, 0.05  # of the predictability, for blurs to be useful
+_RIDGES = np.geomspace(1e-4, 1.0, 7)
+
+
+class ScaleSpace:
+    """The blur of the present search, and of those that follow it; whether blurs are useful.
+
+    views: of the target.
+    possible: whether images can be compared blurred at all.
+    at_once: whether the first search begins coarse, without asking the first candidates.
+    """
+
+    def __init__(self, views: Views, *, possible: bool, at_once: bool = False) -> None:
+        self._views = views
+        self._side = min(min(view.size) for view in views.views)
+        self.useful: bool | None = (at_once or None) if possible else False
+        """None: the first candidates have not decided."""
+        self.left: list[float] = list(BLURS) if at_once and possible else []
+        """Blurs of the present search and of those that follow it, in sides of the image."""
+        self._seen: list[tuple[int, Float64, list[Float32]]] = []
+
+    @property
+    def blur(self) -> float:
+        """Standard deviation of the present blur, in pixels; 0: images are sharp."""
+        return self.left[0] * self._side if self.left else 0.0
+
+    @property
+    def share(self) -> float:
+        """Standard deviation of the present blur, in sides of the image."""
+        return self.left[0] if self.left else 0.0
+
+    # -- the first candidates ----------------------------------------------------------------------
+
+    def note(self, index: int, x: Float64, image: Float32) -> None:
+        """Note a candidate x (d,) with its sharp image, packed; only the first ones are needed."""
+        if self.useful is None and index < 2 * _SEEN:
+            self._seen.append((index, x.copy(), self._small(image)))
+
+    def decide(self, target: Float32) -> Float64 | None:
+        """Whether blurs are useful, once enough candidates are known; then where to begin, (d,).
+
+        target: packed, sharp.
+        """
+        if self.useful is not None or len(self._seen) < _SEEN:
+            return None
+        seen = sorted(self._seen, key=lambda one: one[0])[:_SEEN]
+        X = np.array([x for _, x, _ in seen])
+        scores = [predictability(_flat(seen, blur), X) for blur in (0.0, *_JUDGED)]
+        sharp, best = scores[0], max(scores)
+        self.useful = best >= _LEAST_RATIO * sharp and best - sharp >= _LEAST_GAIN
+        self._seen = []
+        if not self.useful:
+            return None
+        self.begin()
+        apart = _flat(seen, BLURS[0]) - _flat([(0, X[0], self._small(target))], BLURS[0])
+        first: Float64 = X[int(np.argmin(np.square(apart).mean(axis=1)))]
+        return first
+
+    def _small(self, image: Float32) -> list[Float32]:
+        """Pictures of the views (h, w, 3), reduced, of a packed image."""
+        return [_reduced(part[0]) for part in self._views.split(image[None])]
+
+    # -- searches ----------------------------------------------------------------------------------
+
+    def begin(self) -> None:
+        """Begin coarse."""
+        self.left = list(BLURS)
+
+    def go_on(self) -> float:
+        """Take the next blur; returns how wide the search with it may begin, of the first one."""
+        del self.left[0]
+        return WIDTHS[len(BLURS) - 1 - len(self.left)]
+
+    def end(self) -> None:
+        """Compare sharp images from now on."""
+        self.left = []
+
+    def give_up(self) -> None:
+        """Never begin coarse again: images are not compared here, or by a user's own losses."""
+        self.end()
+        self.useful, self._seen = False, []
+
+    # -- saving ------------------------------------------------------------------------------------
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that changes."""
+        seen = [{"index": i, "x": x, "images": images} for i, x, images in self._seen]
+        return {"useful": self.useful, "left": list(self.left), "seen": seen}
+
+    def load_state_dict(self, state: Mapping[str, Any], sides: Mapping[str, int]) -> None:
+        """Put back what `state_dict` gave; ValueError for what it cannot have given."""
+        check(state, _SCHEMA, dict(sides), "scale space")
+        self.useful = state["useful"]
+        self.left = [one for one in BLURS if one in state["left"]]
+        self._seen = [
+            (one["index"], one["x"].copy(), [each.copy() for each in one["images"]])
+            for one in state["seen"]
+        ]
+
+
+_SCHEMA: dict[str, Any] = {
+    "useful": maybe(flag),
+    "left": each(real(0.0, 1.0)),
+    "seen": each({"index": whole(), "x": array("d"), "images": each(anything)}),
+}
+
+
+def _reduced(image: Float32) -> Float32:
+    """An image (H, W, 3), averaged to at most 96 pixels along its shorter side."""
+    from fide_plugins.runtime.opencv import cv2
+
+    height, width = image.shape[:2]
+    factor = max(1.0, min(height, width) / _SIDE)
+    size = max(1, round(width / factor)), max(1, round(height / factor))
+    return np.ascontiguousarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
+
+
+def _flat(seen: list[tuple[int, Float64, list[Float32]]], share: float) -> Float64:
+    """Blurred images as rows (n, ...); share: standard deviation in sides of the image."""
+    side = min(min(part.shape[:2]) for part in seen[0][2])
+    rows = [
+        np.concatenate([blurred(part, share * side).ravel() for part in images])
+        for _, _, images in seen
+    ]
+    return np.array(rows, np.float64)
+
+
+def predictability(images: Float64, X: Float64) -> float:
+    """How well parameters X (n, d) follow from images (n, p) by a linear model, in [0, 1].
+
+    The mean over the parameters of 1 - e / v, at least 0, with e the mean squared error of the
+    model of all other candidates, and v that of their mean: ridge regression, with the ridge of
+    seven that is best.
+    """
+    n = len(X)
+    centered = images - images.mean(axis=0)
+    values, vectors = np.linalg.eigh(centered @ centered.T)
+    values = np.maximum(values, 0.0)
+    if not values.any():
+        return 0.0
+    deviations = X - X.mean(axis=0)
+    variance = np.maximum(np.square(deviations).sum(axis=0), 1e-300) * (n / (n - 1)) ** 2
+    best = 0.0
+    for ridge in _RIDGES * values.mean():
+        kept = values / (values + ridge)
+        hat = (vectors * kept) @ vectors.T + 1 / n
+        left_out = 1 - np.minimum(np.diag(hat), 1 - 1e-9)
+        errors = np.square((deviations - hat @ deviations) / left_out[:, None]).sum(axis=0)
+        best = max(best, float(np.maximum(0.0, 1 - errors / variance).mean()))
+    return best
