@@ -37,6 +37,11 @@ Result: TypeAlias = tuple[Float64, float, Images | None, torch.Tensor | None, fl
 """x (d,), loss, image (H, W, 3), tokens (T, C) of one candidate, and what the search is told."""
 
 
+def on_cpu(batch: Images) -> Float32:
+    """Images as an array, also those that are on a GPU."""
+    return batch.cpu().numpy() if isinstance(batch, torch.Tensor) else batch
+
+
 @dataclass(frozen=True)
 class Evaluation:
     """Of n candidates: losses (n,), images (n, H, W, 3) and tokens (n, T, C), where known.
@@ -149,11 +154,11 @@ class Evaluator:
         several = images[0] if self.views.listed and isinstance(images, list | tuple) else images
         n = len(several) if hasattr(several, "__len__") else 0
         batch = self.as_batch(n, images, np.zeros(n), None, Clipping().note)
-        if isinstance(batch, torch.Tensor):
-            batch = batch.cpu().numpy()
+        assert batch is not None  # images were given
+        shown = on_cpu(batch)
         if self.comparison is not None:
-            batch = self.comparison.compare(batch).images
-        parts = self.views.split(batch)
+            shown = self.comparison.compare(shown).images
+        parts = self.views.split(shown)
         return self.views.restored(parts if self.views.listed else parts[0])
 
     def light_of(self, image: Float32) -> Any:
@@ -289,7 +294,7 @@ class Evaluator:
         """
         told = batch
         if batch is not None and self.comparison is not None:
-            compared = self.comparison.compare(batch)
+            compared = self.comparison.compare(on_cpu(batch))
             batch = batch[..., :3]
             values = compared.losses if losses is None else as_losses(losses, n)
             tokens = self.encoder.compute(compared.images) if encode else None

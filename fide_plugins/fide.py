@@ -41,7 +41,7 @@ from fide_plugins.comparing import adapt_light
 from fide_plugins.comparison.kept import Kept
 from fide_plugins.comparison.scale_space import ScaleSpace
 from fide_plugins.encoders.base import PatchEncoder
-from fide_plugins.evaluation import Evaluation, Evaluator
+from fide_plugins.evaluation import Evaluation, Evaluator, on_cpu
 from fide_plugins.options import Options, flat, make_options
 from fide_plugins.population import Candidate, CandidateRole, Population
 from fide_plugins.population.candidate import TrainingSample, columns, in_order
@@ -372,10 +372,10 @@ class FIDE(Saved):
     def make_proposals(
         self, population: Population, rng: np.random.Generator, n: int | None = None
     ) -> None:
-        """Line 5: denoise reserved samples, until n candidates are queued; None: all of them.
+        """Line 5: denoise what a population has reserved, until n candidates are queued; None: all.
 
         Those that are asked for together are made by one call of the proposer; of one that is not
-        `lazy`, all of them.  If that raises, the next call tries again.
+        `lazy`, all of them.  If that raises, the next call tries again.  rng: of the proposer.
         """
         m, proposer = len(population.reserved), self.state.proposer
         if proposer is None or not m or (n is not None and n <= population.queued):
@@ -507,7 +507,7 @@ class FIDE(Saved):
             self.state.stay_sharp()
         if self.state.kept is not None and batch is not None:
             at, given = self.state.evaluations, losses is not None
-            self.state.kept.note(points, batch, results.losses, at, given=given)
+            self.state.kept.note(points, on_cpu(batch), results.losses, at, given=given)
         self.enter(points, results)
         if self.state.kept is not None:
             adapt_light(self)
@@ -516,7 +516,10 @@ class FIDE(Saved):
     @one_at_a_time
     @one_thread
     def enter(self, points: Float64, results: Evaluation, decision: Decision = _UNDECIDED) -> None:
-        """Enter results of points (n, dim); each generation that becomes complete is finished."""
+        """Enter results of points (n, dim); each generation that becomes complete is finished.
+
+        decision: what others have decided about the end of that generation.
+        """
         self.same_images.note(points, results.images, results.losses)
         with timed(self.times, "search"):
             self._enter_all(points, results, decision)
@@ -953,7 +956,7 @@ class FIDE(Saved):
 
     @classmethod
     def resolve_loss(cls, loss: Any, settings: Mapping[str, Any], device: str) -> Any:
-        """Loss that a user gave for an optimizer of these settings; raises as `loss_of`."""
+        """The loss that a user gave, for an optimizer of these settings, on that device."""
         return loss_of(Views.from_settings(settings), loss, device=device)
 
     @property
@@ -972,7 +975,7 @@ class FIDE(Saved):
 
     @one_at_a_time
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on where `state_dict` was called; ValueError if it is none, and nothing changes."""
+        """Go on where `state_dict` gave `state`; ValueError if it is none, and nothing changes."""
         if not isinstance(state, Mapping) or not {"versions", "comparison"} <= set(state):
             raise ValueError("this is no state of FIDE: it lacks 'versions' or 'comparison'")
         state = dict(state)

@@ -231,7 +231,7 @@ class _OneView:
             left *= blurred(coverage, self._blur)
         if self._view.weights is not None:
             left *= np.sqrt(self._view.weights)
-        return np.clip(left, 0, 1, dtype=np.float32)
+        return np.asarray(np.clip(left, 0, 1), np.float32)
 
     def light(self, image: Float32, coverage: Float32 | None) -> Light | None:
         kind = self._comparison.light
@@ -260,8 +260,7 @@ def _times(image: Float32, factor: Float32) -> Float32:
     """An image (H, W, 3) times a factor (H, W)."""
     from fide_plugins.runtime.opencv import cv2
 
-    made: Float32 = cv2.multiply(image, cv2.merge([factor, factor, factor]))
-    return made
+    return np.asarray(cv2.multiply(image, cv2.merge([factor, factor, factor])), np.float32)
 
 
 def checked(state: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -281,7 +280,8 @@ def _taken(image: Float32) -> tuple[Float32, Float32 | None]:
 
 def _weighted(image: Float32, weights: Float32, small: Float32) -> Float32:
     """As `_small`, the weighted mean of an image (H, W, 3); weights: (H, W), and (h, w)."""
-    return _times(_small(_times(image, weights)), 1 / np.maximum(small, 1e-6))
+    inverse = np.asarray(1 / np.maximum(small, 1e-6), np.float32)
+    return _times(_small(_times(image, weights)), inverse)
 
 
 def _small(image: Float32) -> Float32:
@@ -290,8 +290,7 @@ def _small(image: Float32) -> Float32:
 
     height, width = image.shape[:2]
     size = min(width, _SMALL), min(height, _SMALL)
-    small: Float32 = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-    return small
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32)
 
 
 def blurred(image: Float32, blur: float) -> Float32:
@@ -306,9 +305,8 @@ def blurred(image: Float32, blur: float) -> Float32:
     height, width = image.shape[:2]
     factor = max(1, int(blur / 2))
     size = max(1, round(width / factor)), max(1, round(height / factor))
-    small = cv2.resize(image, size, interpolation=cv2.INTER_AREA) if factor > 1 else image
+    small: Any = cv2.resize(image, size, interpolation=cv2.INTER_AREA) if factor > 1 else image
     small = cv2.GaussianBlur(small, (0, 0), blur / factor, borderType=cv2.BORDER_REPLICATE)
     if factor > 1:
         small = cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR)
-    made: Float32 = small.reshape(image.shape)
-    return made
+    return np.asarray(small, np.float32).reshape(image.shape)

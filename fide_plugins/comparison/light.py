@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -57,13 +58,15 @@ class Light:
         squares = cv2.transform(cv2.multiply(image, image), np.diag(self.curve))
         if len(self.gain) == 1:
             affine = np.column_stack([np.diag(self.gain[0, 0]), self.offset])
-            return cv2.add(cv2.transform(image, affine), squares)
+            moved = cv2.transform(image, affine)
+            return np.asarray(cv2.add(moved, squares), np.float32)
         height, width = image.shape[:2]
         down, across = _hats(height, len(self.gain)), _hats(width, len(self.gain))
         rows = np.tensordot(across, self.gain.astype(np.float32), (1, 1))  # (W, k, 3)
         gain = np.tensordot(down, rows, (1, 1))  # (H, W, 3)
-        moved = cv2.add(cv2.multiply(gain, image), (*self.offset, 0.0))
-        return cv2.add(moved, squares)
+        shift: Any = (*self.offset, 0.0)
+        moved = cv2.add(np.asarray(cv2.multiply(gain, image), np.float32), shift)
+        return np.asarray(cv2.add(moved, squares), np.float32)
 
 
 @lru_cache(maxsize=64)
@@ -77,7 +80,8 @@ def _hats(length: int, nodes: int) -> Float32:
 def _field(height: int, width: int) -> Float32:
     """Products of hat functions (k k, height width)."""
     down, across = _hats(height, _NODES), _hats(width, _NODES)
-    return np.einsum("hi,wj->ijhw", down, across).reshape(_NODES**2, -1)
+    field: Float32 = np.einsum("hi,wj->ijhw", down, across).reshape(_NODES**2, -1)
+    return field
 
 
 def fit_light(render: Float32, target: Float32, weights: Float32 | None, kind: str) -> Light:
@@ -119,6 +123,6 @@ def robust_factor(apart: Float32, scale: float) -> Float32:
     """C / sqrt(c^2 + d^2), (H, W), of differences (H, W, 3); d^2: their mean square."""
     from fide_plugins.runtime.opencv import cv2
 
-    squares = cv2.transform(cv2.multiply(apart, apart), np.full((1, 3), 1 / (3 * scale * scale)))
-    factor: Float32 = 1 / np.sqrt(1 + squares)
-    return factor
+    mean = np.full((1, 3), 1 / (3 * scale * scale))
+    squares = np.asarray(cv2.transform(cv2.multiply(apart, apart), mean), np.float32)
+    return np.asarray(1 / np.sqrt(1 + squares), np.float32)

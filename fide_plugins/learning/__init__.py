@@ -14,6 +14,7 @@ file            idea
 `emulator`      a learned renderer, and descents through it
 `training`      of a network on renders; it goes on from its checkpoint
 `augmentation`  how renders are changed meanwhile
+`clutter`       backgrounds, occluders and shadows for renders that say what they cover
 `judging`       a trained network is calibrated and measured
 `model`         hypotheses, density, one file
 `hypotheses`    what a search is given of it; ``preset="global"``: two rounds, and then the search

@@ -544,10 +544,15 @@ def learn(
         emulates=emulates, clutter=composed, region=region,
     )  # fmt: skip
     plan.check(store_limit)
+    return _model_of(plan, out)
+
+
+def _model_of(plan: Plan, out: str | os.PathLike[str] | None) -> Model:
+    """The model of a plan, saved where that is asked for."""
     with folder_of(out) as folder:
-        draw = None if region is None else region.parameters
-        store = RenderStore(folder, plan.settings, fingerprint_of(renderer.source), draw)
-        model = plan.model(store)
+        draw = None if plan.region is None else plan.region.parameters
+        source = fingerprint_of(plan.renderer.source)
+        model = plan.model(RenderStore(folder, plan.settings, source, draw))
     if out is not None:
         model.save(out)
     return model

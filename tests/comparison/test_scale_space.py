@@ -22,7 +22,7 @@ ANSWER = np.array([0.62, 0.4, 0.55])
 def ring(x: Float64, width: float = 0.02) -> Float32:
     """A circle around (x, y) with a radius, as thin as a pixel or two."""
     r = np.hypot(U - 0.3 - 0.4 * x[0], V - 0.3 - 0.4 * x[1]) - 0.1 - 0.2 * x[2]
-    return np.exp(-0.5 * np.square(r / width)).astype(np.float32)
+    return np.asarray(np.exp(-0.5 * np.square(r / width)), np.float32)
 
 
 def renders(X: Float64, width: float = 0.02) -> Float32:

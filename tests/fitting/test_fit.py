@@ -330,7 +330,7 @@ def test_writing_is_no_time_of_the_search(tmp_path: Path, monkeypatch: pytest.Mo
     loop = fitting._loop
     searched = loop.search_ended - loop.search_began
     assert searched < time.perf_counter() - start - 2
-    assert result.busy == pytest.approx(min(1, loop.render_seconds / searched))
+    assert result.busy == pytest.approx(min(1, fitting._render_seconds / searched))
 
 
 def test_asking_counts_as_search(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -132,7 +132,7 @@ class SearchSpace:
         self.space = Space(kinds) if kinds else None
         self.dim = 0 if self.space is None else self.space.dim
         self._fixed = {n: _only(d) for n, d in self.distributions.items() if d.single()}
-        ranges = {n: d for n, d in self.distributions.items() if hasattr(d, "low")}
+        ranges: dict[str, Any] = {n: d for n, d in self.distributions.items() if hasattr(d, "low")}
         self._ranged = list(ranges)
         self._low = np.array([d.low for d in ranges.values()], np.float64)
         self._high = np.array([d.high for d in ranges.values()], np.float64)
