@@ -109,8 +109,8 @@ def status_of(facts: Facts) -> Status:
     if since < facts.horizon:
         return Status("improving", f"Still improving: loss {best:.3g}.")
     if facts.mismatch is not None:
-        since = f"No improvement since evaluation {facts.improved_at:,}: loss {best:.3g}."
-        return Status("mismatch", f"{since} {facts.mismatch}")
+        stalled = f"No improvement since evaluation {facts.improved_at:,}: loss {best:.3g}."
+        return Status("mismatch", f"{stalled} {facts.mismatch}")
     return _stalled(best, facts)
 
 

@@ -110,33 +110,18 @@ def renderer_arguments(renderer: str | None, command: str | None, space: str | N
     return [] if space is None else ["--space", space]
 
 
-def server(fits: Fits) -> Any:
-    """The server and its tools, a `mcp.server.mcpserver.MCPServer`."""
-    from mcp.server.mcpserver import Image, MCPServer
-    from mcp.server.mcpserver.exceptions import ToolError
+class Tools:
+    """What an agent can call; the docstrings and signatures are what it reads."""
 
-    made = MCPServer("fide", instructions=GUIDE)
+    def __init__(self, fits: Fits) -> None:
+        self._fits = fits
 
-    def tool(function: Callable[..., Any]) -> None:
-        """Offer a function; its ValueErrors are answers, which the agent reads."""
-
-        @wraps(function)
-        def told(**arguments: Any) -> Any:
-            try:
-                return function(**arguments)
-            except ValueError as error:
-                raise ToolError(str(error)) from error
-
-        made.add_tool(told, structured_output=False)
-
-    @tool
-    def describe() -> str:
+    def describe(self) -> str:
         """What FIDE does, and how to write the renderer and the file of its parameters."""
         return GUIDE
 
-    @tool
     def check(
-        renderer: str | None = None, command: str | None = None, space: str | None = None
+        self, renderer: str | None = None, command: str | None = None, space: str | None = None
     ) -> dict[str, Any]:
         """Look at a renderer before a fit: what each parameter changes, time, noise, failures."""
         rest = renderer_arguments(renderer, command, space)
@@ -150,9 +135,8 @@ def server(fits: Fits) -> Any:
         found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
         return found
 
-    @tool
     def fit(
-        target: str, out: str, renderer: str | None = None, command: str | None = None,
+        self, target: str, out: str, renderer: str | None = None, command: str | None = None,
         space: str | None = None, budget: int = 2000, seed: int = 0, wait: float = 20.0,
         resume: bool = False, options: list[str] | None = None,
     ) -> dict[str, Any]:  # fmt: skip
@@ -164,31 +148,51 @@ def server(fits: Fits) -> Any:
         what = ["--renderer", renderer] if renderer is not None else ["--command", str(command)]
         numbers = ["--budget", str(budget), "--seed", str(seed)]
         resumed = ["--resume"] if resume else []
-        fits.start([target, *what, *rest, *numbers, *resumed, *(options or [])], Path(out))
+        self._fits.start([target, *what, *rest, *numbers, *resumed, *(options or [])], Path(out))
         end = time.monotonic() + wait
-        while fits.is_running(Path(out)) and time.monotonic() < end:
+        while self._fits.is_running(Path(out)) and time.monotonic() < end:
             time.sleep(0.1)
-        return fits.status(Path(out))
+        return self._fits.status(Path(out))
 
-    @tool
-    def status(out: str) -> dict[str, Any]:
+    def status(self, out: str) -> dict[str, Any]:
         """State of the fit in a run directory: parameters found so far, loss, what is known."""
-        return fits.status(Path(out))
+        return self._fits.status(Path(out))
 
-    @tool
-    def stop(out: str) -> dict[str, Any]:
+    def stop(self, out: str) -> dict[str, Any]:
         """Stop a fit; what it has found is saved, and `fit` with resume=true goes on."""
-        fits.stop(Path(out))
-        return fits.status(Path(out))
+        self._fits.stop(Path(out))
+        return self._fits.status(Path(out))
 
-    @tool
-    def picture(out: str) -> Any:  # an Image, a name that the server does not know
+    def picture(self, out: str) -> Any:
         """Target, best image and difference of a fit; its best image alone while it runs."""
+        from mcp.server.mcpserver import Image
+
         for name in ("summary.png", "best.png", "check.png"):
             if (Path(out) / name).is_file():
                 return Image(path=Path(out) / name)
         raise ValueError(f"there is no picture in {out} yet; ask status")
 
+
+def server(fits: Fits) -> Any:
+    """The server with its tools, a `mcp.server.mcpserver.MCPServer`."""
+    from mcp.server.mcpserver import MCPServer
+    from mcp.server.mcpserver.exceptions import ToolError
+
+    def answering(function: Callable[..., Any]) -> Callable[..., Any]:
+        """The same function; its ValueErrors are answers, which the agent reads."""
+
+        @wraps(function)
+        def told(**arguments: Any) -> Any:
+            try:
+                return function(**arguments)
+            except ValueError as error:
+                raise ToolError(str(error)) from error
+
+        return told
+
+    made, tools = MCPServer("fide", instructions=GUIDE), Tools(fits)
+    for tool in (tools.describe, tools.check, tools.fit, tools.status, tools.stop, tools.picture):
+        made.add_tool(answering(tool), structured_output=False)
     return made
 
 

@@ -53,6 +53,8 @@ def explanation(
 
     None where the difference is small, or where nothing explains most of it.
     """
+    if weights is not None and not weights.any():
+        return None  # a render that covers nothing
     total = _square(image - target, weights)
     if total < _LEAST**2:
         return None

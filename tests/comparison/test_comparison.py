@@ -293,6 +293,11 @@ def test_what_is_left_is_named(target: Image, agreed: bool, cause: str | None) -
     assert said is None if cause is None else said is not None and cause in said
 
 
+def test_of_a_render_that_covers_nothing_nothing_is_said() -> None:
+    nothing = np.zeros((SIZE, SIZE), np.float32)
+    assert explanation(render(TRUE), 0 * render(TRUE), nothing, agreed=True) is None
+
+
 def test_status_of_a_mismatch_names_the_cause() -> None:
     facts = Facts(1000, 0.1, 10, 100, [3], mismatch="another light explains 90% of it")
     assert status_of(facts).code == "mismatch"
