@@ -289,7 +289,7 @@ class State:
 
         target: packed.
         """
-        x = self.scales.decide(target)
+        x = self.scales.decide(target, self.gate.agreement)
         self.moves.known.blurs = bool(self.scales.useful)
         if x is None:
             return False

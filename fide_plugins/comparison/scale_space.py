@@ -8,9 +8,10 @@ one with none.  Renders are sharp and so is `FIDE.best`; only what the search is
 
 Where regions are wide and flat a blur hides what counts.  So the first candidates decide: if their
 parameters follow better from blurred images than from sharp ones, by a linear model that has not
-seen them, the first search begins again, coarse.  From then on a search from a random place that
-begins coarse is one of the moves (`search.moves.Coarsen`), raced with the others.  Elsewhere
-nothing changes.
+seen them, a search from a random place that begins coarse is one of the moves from then on
+(`search.moves.Coarsen`), raced with the others.  If they follow much better, or if sharp features
+hardly agree with the losses, the first search begins again at once, coarse.  Elsewhere nothing
+changes.
 """
 
 from __future__ import annotations
@@ -37,6 +38,7 @@ _JUDGED = (0.04, 0.08)  # blurs that are compared with sharp images, in sides of
 _SEEN = 36  # candidates that decide
 _SIDE = 96  # pixels to which their images are reduced
 _LEAST_RATIO, _LEAST_GAIN = 1.1, 0.05  # of the predictability, for blurs to be useful
+_MUCH, _LITTLE = 1.6, 0.8  # such a ratio, or so little agreement: the first search begins again
 _RIDGES = np.geomspace(1e-4, 1.0, 7)
 
 
@@ -74,10 +76,12 @@ class ScaleSpace:
         if self.useful is None and index < 2 * _SEEN:
             self._seen.append((index, x.copy(), self._small(image)))
 
-    def decide(self, target: Float32) -> Float64 | None:
-        """Whether blurs are useful, once enough candidates are known; then where to begin, (d,).
+    def decide(self, target: Float32, agreement: float) -> Float64 | None:
+        """Whether blurs are useful, once enough candidates are known; where to begin coarse, (d,).
 
-        target: packed, sharp.
+        None: the present search goes on sharp.
+
+        target: packed, sharp.  agreement: rank correlation of losses and distances in features.
         """
         if self.useful is not None or len(self._seen) < _SEEN:
             return None
@@ -87,7 +91,7 @@ class ScaleSpace:
         sharp, best = scores[0], max(scores)
         self.useful = best >= _LEAST_RATIO * sharp and best - sharp >= _LEAST_GAIN
         self._seen = []
-        if not self.useful:
+        if not self.useful or not (best >= _MUCH * sharp or agreement < _LITTLE):
             return None
         self.begin()
         apart = _flat(seen, BLURS[0]) - _flat([(0, X[0], self._small(target))], BLURS[0])

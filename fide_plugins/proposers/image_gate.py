@@ -96,6 +96,11 @@ class ImageGate(Stateful):
         return min(1.0, max(0.0, (rho - _LITTLE) / (_MUCH - _LITTLE)))
 
     @property
+    def agreement(self) -> float:
+        """Rank correlation of losses and distances in features, of late; 0 before any is known."""
+        return self._recent / self._weight if self._weight else 0.0
+
+    @property
     def guided(self) -> bool:
         """Whether images say when a search is over, and where to go on.
 
