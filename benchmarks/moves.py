@@ -26,6 +26,7 @@ from rows import Row, read, run_missing
 
 import fide_tasks
 from fide_lab import optimizers
+from fide_plugins import FIDE
 from fide_plugins.validation.options import parse_key_value
 
 MARKS = (250, 500, 1000, 2000, 4000, 5000, 10_000, 25_000, 50_000)
@@ -145,7 +146,8 @@ def run(planned_run: Row, optimizer: str, options: dict[str, Any]) -> Row:
             best = min(best, loss)
             marks |= {str(i): best} if i in MARKS else {}
             solved_at = i if solved_at is None and best <= scene.solved else solved_at
-        opt.tell(X, images, losses)
+        # FIDE compares images itself, as in `fit`: told losses would keep it from blurring them.
+        opt.tell(X, images, *([] if isinstance(opt, FIDE) else [losses]))
     times = {name: round(1e3 * s / opt.evaluations, 3) for name, s in opt.times.items()}
     return {
         **planned_run,

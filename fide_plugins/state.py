@@ -176,7 +176,10 @@ class State:
                 sample = TrainingSample(number, exact.copy(), tokens, told, self.evaluations)
                 self._keep(sample)
             if image is not None and self.scales.useful is None:
-                self.scales.note(number, exact, _copied(image))
+                if isinstance(image, torch.Tensor):  # images that stay on their device
+                    self.scales.give_up()
+                else:
+                    self.scales.note(number, exact, image.copy())
             testing = self.stage is Stage.EXCHANGE
             if image is not None and testing and np.array_equal(exact, self.moves.known.current.x):
                 self.grain.note(_copied(image))

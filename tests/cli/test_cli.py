@@ -251,7 +251,9 @@ def test_doctor_says_which_weights_are_here(
     assert {"dense", "patch"} <= set(here.split(", "))
     assert learned == "with a model of yours: learned:FILE"
     assert "vgg19" in absent.removeprefix("not here: ").split(", ")
-    assert lines["losses"] == "loi, mse, perceptual; not here: lpips, lpips:squeeze, lpips:vgg"
+    assert lines["losses"] == (
+        "loi, mse, perceptual, texture; not here: lpips, lpips:squeeze, lpips:vgg"
+    )
     for kind in ("encoders", "losses"):  # as the command that gives the reasons
         assert fide("list", kind) == 0
         output = capsys.readouterr().out.splitlines()

@@ -162,6 +162,7 @@ def test_killed_at_any_time(tmp_path: Path, expected: Any) -> None:
 
 
 @pytest.mark.thorough
+@pytest.mark.filterwarnings("ignore:.*holds results of:RuntimeWarning")  # what fitted on the disk
 @pytest.mark.parametrize("most", [0, 900, 5_000, 12_000])
 def test_a_disk_that_is_full(most: int, tmp_path: Path, expected: Any) -> None:
     """No file may grow beyond so many bytes."""

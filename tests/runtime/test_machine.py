@@ -215,8 +215,7 @@ def plain_install(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in [*sys.modules, "matplotlib", "matplotlib.figure"]:
         if name.partition(".")[0] == "matplotlib":
             monkeypatch.setitem(sys.modules, name, None)
-    for name in ("result_figure", "pairs_figure"):
-        monkeypatch.delitem(sys.modules, f"fide_plugins.recording.{name}", raising=False)
+    monkeypatch.delitem(sys.modules, "fide_plugins.recording.plots", raising=False)
 
 
 @pytest.mark.figures

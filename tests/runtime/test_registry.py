@@ -64,8 +64,16 @@ def test_odd_registrations_are_refused(name: object, factory: object) -> None:
 
 
 def test_names_of_the_library() -> None:
-    assert encoders.names() == ["dense", "dinov3", "efficientnet", "learned", "patch", "vgg19"]
-    assert losses.names() == ["loi", "lpips", "mse", "perceptual"]
+    assert encoders.names() == [
+        "dense",
+        "dinov3",
+        "efficientnet",
+        "learned",
+        "patch",
+        "texture",
+        "vgg19",
+    ]
+    assert losses.names() == ["loi", "lpips", "mse", "perceptual", "texture"]
     with pytest.raises(UnknownNameError, match="encoder 'dino': known are dense, .* 'dinov3'"):
         encoders.make("dino")
     with pytest.raises(UnknownNameError, match="loss 'ssim': known are loi, lpips, mse, perc"):

@@ -171,8 +171,8 @@ def forgeries(whole: dict[str, Any], opt: Baseline) -> list[tuple[tuple[str, ...
         found += [((*search, *inner, "losses"), np.zeros(1))]
     else:
         assert isinstance(opt, Stateful)
-        wrong = {**whole["state"]["search"]["population"]["queue"]["made"], "x": np.zeros((2, 2))}
-        found += [((*search, "population", "queue", "made"), wrong)]
+        wrong = {**whole["state"]["search"]["population"]["queue"], "x": np.zeros((2, 2))}
+        found += [((*search, "population", "queue"), wrong)]
         found += [((*search, "population", name), None) for name in ("members", "losses")]
         found += [((*search, "features_of"), np.arange(9)), ((*search, "own"), {})]
         own = whole["state"]["search"]["own"]

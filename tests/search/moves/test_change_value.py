@@ -130,10 +130,10 @@ def test_only_spaces_with_values_have_the_move() -> None:
     numbers = Space(a=Float(0, 1), b=Float(0, 1), c=Float(0, 1))
     assert "change value" not in MovePolicy(*about).state_dict()
     policy = MovePolicy(*about, layout=numbers.layout)
-    assert len(policy.state_dict()["choice"]) == 9
+    assert len(policy.state_dict()["choice"]) == 10
     values = Space(a=Float(0, 1), b=Int(0, 5), c=Float(0, 1))
     policy = MovePolicy(*about, layout=values.layout)
-    assert len(policy.state_dict()["choice"]) == 10
+    assert len(policy.state_dict()["choice"]) == 11
 
 
 def picture(params: dict[str, Any]) -> Float64:
