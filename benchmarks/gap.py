@@ -90,7 +90,7 @@ def run(planned: Row) -> Row:
         search.tell(x, task.render(x))
     best = search.best
     assert best is not None
-    return {"error": error(task, best.x), "status": search.status.code}
+    return {**planned, "error": error(task, best.x), "status": search.status.code}
 
 
 def table(rows: list[Row]) -> str:

@@ -234,6 +234,14 @@ class FIDE(Saved):
         )  # fmt: skip
         moves.start = setting.valid_start(moves.start, 1)
         known = posterior is not None
+        scales = ScaleSpace(
+            self.views,
+            possible=self._may_blur and not known,
+            at_once=bool(o.coarse_to_fine or (o.photo and o.coarse_to_fine is None)),
+        )
+        if scales.blur:
+            patience, improvement = scales.patience
+            moves.start = replace(moves.start, patience=patience, improvement=improvement)
         return State(
             rng=np.random.default_rng(self.seed),
             population=Population(),
@@ -244,11 +252,7 @@ class FIDE(Saved):
             steps=make_steps(o, self.dim, k, self.encoder, learned=known),
             memory=Memory(o.memory_mb),
             grain=Grain(self.views),
-            scales=ScaleSpace(
-                self.views,
-                possible=self._may_blur and not known,
-                at_once=o.coarse_to_fine or (o.photo and o.coarse_to_fine is None),
-            ),
+            scales=scales,
             kept=Kept(self.dim) if self.evaluator.comparison is not None else None,
         )
 

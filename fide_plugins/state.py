@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from fide_plugins.comparison.kept import Kept
-from fide_plugins.comparison.scale_space import NEXT, PATIENCE, ScaleSpace
+from fide_plugins.comparison.scale_space import NEXT, ScaleSpace
 from fide_plugins.evaluation import Images
 from fide_plugins.population import Candidate, CandidateRole, Population
 from fide_plugins.population.candidate import Best, TrainingSample, columns, in_order
@@ -249,6 +249,7 @@ class State:
             self._go_finer()
             return
         spent = self.evaluations - self.over_at
+        guided = guided or self.scales.asked
         stage = self.moves.after_search(self.search_best, spent, guided=guided)
         self.search_best, self.over_at = None, self.evaluations
         self._go_on(stage)
@@ -285,7 +286,7 @@ class State:
         if self.blur:
             reach = 2 * self.scales.share * self.search.setting.sigma0
             return self.search.is_over(guided=True) or bool((self.search.std < reach).all())
-        return self.search.is_over(guided=guided)
+        return self.search.is_over(guided=guided or self.scales.asked)
 
     def begin_coarse(self, target: Float32) -> bool:
         """Begin the first search again, coarse, if its first candidates say so.
@@ -293,12 +294,17 @@ class State:
         target: packed.
         """
         x = self.scales.decide(target, self.gate.agreement)
-        self.moves.known.blurs = bool(self.scales.useful)
+        self._let_moves_know()
         if x is None:
             return False
         self.moves.start = replace(self.moves.start, mean=x)
         self._begin_at_blur()
         return True
+
+    def _let_moves_know(self) -> None:
+        known, scales = self.moves.known, self.scales
+        known.blurs = bool(scales.useful)
+        known.only_coarse = scales.asked and known.blurs
 
     def begin_at_blurs(self, blurs: list[float]) -> None:
         """Begin the present search again with the first of these blurs, in sides; [] for none."""
@@ -310,7 +316,7 @@ class State:
         """Compare sharp images from now on; a coarse search goes on as a sharp one."""
         coarse = self.blur > 0
         self.scales.give_up()
-        self.moves.known.blurs = False
+        self._let_moves_know()
         if coarse:
             self.population.close_generation()
             self.moves.stage, self.moves.start = Stage.SEARCH, Start(self._arrived, self.search.std)
@@ -400,7 +406,8 @@ class State:
         self.searches += 1
         start = self.search.setting.valid_start(self.moves.start, self.searches)
         if self.blur:
-            start = replace(start, patience=PATIENCE)
+            patience, improvement = self.scales.patience
+            start = replace(start, patience=patience, improvement=improvement)
         self.moves.start = start
         self.search = Search(start, self._goal, self.search.setting)
         if self.proposer is not None:
@@ -479,7 +486,7 @@ class State:
         self.population = Population.from_state(state["population"], sides["d"])
         self.moves.load_state_dict(state["moves"], device)
         self.scales.load_state_dict(state["scales"], sides)
-        self.moves.known.blurs = bool(self.scales.useful)
+        self._let_moves_know()
         start, setting = self.moves.start, self.search.setting
         self.search = Search.from_state(state["search"], start, self._goal, setting)
         self.gate.load_state_dict(state["gate"])

@@ -33,7 +33,10 @@ BLURS = (0.05, 0.025, 0.0125)
 WIDTHS = (0.6, 0.5, 0.4)
 """Widest beginning of the searches that follow the first, of its beginning."""
 NEXT = 2.0  # times the spread of a search that is over: of the next one
-PATIENCE = 2  # of coarse searches, in units of the run's: their losses are small, and fall slowly
+PATIENCE, IMPROVEMENT = 2, 1.0
+"""Of coarse searches, in units of the run's: their losses are small, and fall slowly."""
+PATIENCE_ASKED, IMPROVEMENT_ASKED = 8, 0.2
+"""The same where the user asks for them: what the renderer cannot draw stays in all losses."""
 _JUDGED = (0.04, 0.08)  # blurs that are compared with sharp images, in sides of the image
 _SEEN = 36  # candidates that decide
 _SIDE = 96  # pixels to which their images are reduced
@@ -52,6 +55,8 @@ class ScaleSpace:
 
     def __init__(self, views: Views, *, possible: bool, at_once: bool = False) -> None:
         self._views = views
+        self.asked = at_once and possible
+        """Whether all searches are as patient as pictures need that no render equals."""
         self._side = min(min(view.size) for view in views.views)
         self.useful: bool | None = (at_once or None) if possible else False
         """None: the first candidates have not decided."""
@@ -63,6 +68,13 @@ class ScaleSpace:
     def blur(self) -> float:
         """Standard deviation of the present blur, in pixels; 0: images are sharp."""
         return self.left[0] * self._side if self.left else 0.0
+
+    @property
+    def patience(self) -> tuple[int, float]:
+        """Patience and improvement of coarse searches, in units of the run's."""
+        if self.asked:
+            return PATIENCE_ASKED, IMPROVEMENT_ASKED
+        return PATIENCE, IMPROVEMENT
 
     @property
     def share(self) -> float:

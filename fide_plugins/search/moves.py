@@ -63,6 +63,7 @@ class Start:
     mean, std: (d,), of its first distribution.
     population: its population size in units of the run's.
     patience: generations without progress that end it, in units of the run's.
+    improvement: share of the loss that is progress, in units of the run's.
     strict_above: loss above which it has to be quick, see `one_search`; None: it may be slow.
     widest: mean standard deviation that it may come to, in units of that of its beginning.
     to_the_end: whether it goes on where other searches have collapsed, see `one_search`.
@@ -73,6 +74,7 @@ class Start:
     std: Float64 = saved(array("d", low=0.0, high=1e6))
     population: int = saved(whole(1, 2**10), default=1)
     patience: int = saved(whole(1, 100), default=1)
+    improvement: float = saved(real(0.0, 1.0), default=1.0)
     strict_above: float | None = saved(maybe(real()), default=None)
     widest: float = saved(real(1.0), default=1.0)
     to_the_end: bool = saved(flag, default=False)
@@ -93,6 +95,7 @@ class Known:
     optima: distinct local optima.
     values: of integers and choices, and which of them were searched.
     blurs: whether searches that begin coarse are useful here (`comparison.scale_space`).
+    only_coarse: whether a search from a random place has to begin so.
 
     What was found of the scene (exchangeability, removal, sensitivity, optima, values) is described
     in its file of `search.scene`.
@@ -111,6 +114,7 @@ class Known:
     optima: Optima = field(default_factory=Optima)
     values: Values = field(default_factory=Values)
     blurs: bool = False
+    only_coarse: bool = False
 
     @property
     def dim(self) -> int:
@@ -480,8 +484,8 @@ class RandomRestart(Move):
     has_goal = False
 
     def possible(self, known: Known) -> bool:
-        """Return True: it needs nothing."""
-        return True
+        """Return True, unless it has to begin coarse: that is a move of its own."""
+        return not known.only_coarse
 
     def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
         """Draw n random places, (n, d)."""

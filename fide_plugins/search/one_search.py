@@ -203,7 +203,7 @@ class Search:
         self.termination = Termination(
             sigma0=setting.sigma0,
             patience=start.patience * patience,
-            improvement=options.improvement,
+            improvement=start.improvement * options.improvement,
             goal=goal,
             loss_only_patience=default_loss_only_patience(dim, self.popsize),
             strict_above=np.inf if start.strict_above is None else start.strict_above,
