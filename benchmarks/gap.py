@@ -1,7 +1,7 @@
 """Pictures that the renderer did not quite draw: poses found with `photo=True`, and without.
 
     python benchmarks/gap.py --targets 720-729 --out runs/gap.jsonl
-    python benchmarks/gap.py --table runs/gap.jsonl
+    python benchmarks/gap.py --table benchmarks/results/gap.jsonl
 
 The clean target of robot and arm gets another exposure, a shading, an occluder, or the blur, noise
 and JPEG of a camera.  A pose is found if the clean render of the answer differs from the clean

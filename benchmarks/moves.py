@@ -6,6 +6,7 @@
 Every run (scene, target, seed, configuration) is one line of the output file, appended when it is
 done; a second call does what is missing. A run ends when its scene is solved or its budget spent.
 A configuration is an optimizer with options, `--configuration NAME OPTIMIZER key=value ...`.
+`results/coarse.jsonl` has FIDE with and without coarse to fine.
 """
 
 from __future__ import annotations
