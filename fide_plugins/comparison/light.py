@@ -94,16 +94,17 @@ def fit_light(render: Float32, target: Float32, weights: Float32 | None, kind: s
     y = np.ascontiguousarray(render.reshape(-1, 3).T)  # (3, h w)
     k = _NODES if kind == SHADING else 1
     p = k * k + 2
-    terms = np.empty((3, p, h * w), np.float32)
+    # In double precision: the ridge of a flat render is smaller than the rounding of single.
+    terms = np.empty((3, p, h * w), np.float64)
     terms[:, : k * k] = y[:, None] if k == 1 else y[:, None] * _field(h, w)
     terms[:, -2] = 1
     np.multiply(y, y, out=terms[:, -1])
     apart = target.reshape(-1, 3).T - y
     weighted = terms if weights is None else terms * weights.reshape(-1)
-    normal = (weighted @ terms.transpose(0, 2, 1)).astype(np.float64)  # (3, p, p)
+    normal = weighted @ terms.transpose(0, 2, 1)  # (3, p, p)
     variance = max(float(target.reshape(-1, 3).var(axis=0).mean()), _LEAST_VARIANCE)
     normal[:, np.arange(p), np.arange(p)] += _RIDGE * variance * h * w
-    change = np.linalg.solve(normal, (weighted @ apart[..., None]).astype(np.float64))[..., 0]
+    change = np.linalg.solve(normal, weighted @ apart[..., None])[..., 0]
     gain = 1 + change[:, : k * k].T.reshape(k, k, 3)
     return Light(gain, change[:, -2].copy(), change[:, -1].copy())
 
