@@ -168,8 +168,8 @@ def read_by_opencv(count: Counter[str]) -> Iterator[None]:
 def test_pixels_read_for_one_candidate(encoder: str) -> None:
     count: Counter[str] = Counter()
     task = fide_tasks.make("voronoi", size=56, seed=0)
-    coarse = {"coarse_to_fine": False}  # otherwise the first 36 images are reduced, too
-    opt = FIDE(task.dim, task.target, encoder=encoder, seed=0, device="cpu", **coarse)
+    # Coarse to fine would also reduce the first 36 images.
+    opt = FIDE(task.dim, task.target, encoder=encoder, seed=0, device="cpu", coarse_to_fine=False)
     X = opt.ask()
     images = task.render(X)
     with read_by_opencv(count):
