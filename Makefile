@@ -118,10 +118,10 @@ release: wheel $(CHECKS)
 	@$(PYTHON) -m venv build/release
 	build/release/bin/python -m pip --disable-pip-version-check install -qq --pre -c constraints.txt \
 	  --find-links dist fide-plugins
-	cd build/release && bin/python -P ../../.ci/first_fit.py ../../README.md 1
+	cd build/release && bin/python -P ../../.ci/readme_code.py ../../README.md 1
 	build/release/bin/python -m pip --disable-pip-version-check install -qq --pre -c constraints.txt \
 	  --find-links dist 'fide-plugins[optuna,nevergrad]'
-	cd build/release && bin/python -P ../../.ci/first_fit.py ../../README.md
+	cd build/release && bin/python -P ../../.ci/readme_code.py ../../README.md
 	$(BIN)/cyclonedx-py environment build/release/bin/python --of JSON -o dist/sbom.json
 	awk '/^## \[/ {n += 1} n == 1' CHANGELOG.md > dist/NOTES.md
 	@ls dist

@@ -1,4 +1,4 @@
-"""Runs the Python of README as it stands: `python first_fit.py README.md [NUMBER OF BLOCKS]`."""
+"""Runs the Python of README as it stands: `python readme_code.py README.md [NUMBER OF BLOCKS]`."""
 
 import logging
 import re

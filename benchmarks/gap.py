@@ -30,12 +30,9 @@ from rows import Row, read, run_missing
 import fide_tasks
 from fide_plugins import FIDE
 
-SCENES, GAPS, BUDGET, SIZE = (
-    ("robot", "arm"),
-    ("clean", "exposure", "shading", "occluder", "camera"),
-    1500,
-    64,
-)
+SCENES = "robot", "arm"
+GAPS = "clean", "exposure", "shading", "occluder", "camera"
+BUDGET, SIZE = 1500, 64
 FOUND = 0.01
 ARMS: dict[str, dict[str, Any]] = {"photo": {"photo": True}, "default": {}}
 

@@ -318,8 +318,7 @@ class Evaluator:
         if not blur:
             again = self.evaluate(len(batch), batch, results.losses, encode=encode)
             return replace(results, tokens=again.tokens, blur=0.0, told=None)
-        pixels = batch.cpu().numpy() if isinstance(batch, torch.Tensor) else batch
-        compared = self._blurring.compare(pixels, blur)
+        compared = self._blurring.compare(on_cpu(batch), blur)
         tokens = self.encoder.compute(compared.images) if encode else None
         return replace(results, tokens=tokens, blur=blur, told=compared.losses)
 

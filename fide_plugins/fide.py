@@ -239,9 +239,7 @@ class FIDE(Saved):
             possible=self._may_blur and not known,
             at_once=bool(o.coarse_to_fine or (o.photo and o.coarse_to_fine is None)),
         )
-        if scales.blur:
-            patience, improvement = scales.patience
-            moves.start = replace(moves.start, patience=patience, improvement=improvement)
+        moves.start = scales.patient(moves.start)
         return State(
             rng=np.random.default_rng(self.seed),
             population=Population(),

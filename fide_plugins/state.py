@@ -405,10 +405,7 @@ class State:
         """Begin where the moves say; what proposers and steps learned was of the last search."""
         self.searches += 1
         start = self.search.setting.valid_start(self.moves.start, self.searches)
-        if self.blur:
-            patience, improvement = self.scales.patience
-            start = replace(start, patience=patience, improvement=improvement)
-        self.moves.start = start
+        self.moves.start = start = self.scales.patient(start)
         self.search = Search(start, self._goal, self.search.setting)
         if self.proposer is not None:
             self.proposer.forget()

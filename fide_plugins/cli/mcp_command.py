@@ -103,11 +103,17 @@ class Fits:
                 process.wait(60)
 
 
-def renderer_arguments(renderer: str | None, command: str | None, space: str | None) -> list[str]:
-    """Arguments of the command line for a renderer; ValueError unless one of the two is given."""
+def renderer_arguments(
+    renderer: str | None, command: str | None, space: str | None, *flag: str
+) -> list[str]:
+    """Arguments of the command line for a renderer; ValueError unless one of the two is given.
+
+    flag: of `renderer`, if it has one.
+    """
     if (renderer is None) == (command is None):
         raise ValueError("name a renderer (FILE.py:NAME), or a command with {out}; one of them")
-    return [] if space is None else ["--space", space]
+    what = ["--command", str(command)] if renderer is None else [*flag, renderer]
+    return what if space is None else [*what, "--space", space]
 
 
 class Tools:
@@ -124,10 +130,9 @@ class Tools:
         self, renderer: str | None = None, command: str | None = None, space: str | None = None
     ) -> dict[str, Any]:
         """Look at a renderer before a fit: what each parameter changes, time, noise, failures."""
-        rest = renderer_arguments(renderer, command, space)
-        what = [renderer] if renderer is not None else ["--command", str(command)]
+        what = renderer_arguments(renderer, command, space)
         done = subprocess.run(
-            [sys.executable, "-m", "fide_plugins", "check", *what, *rest, "--json"],
+            [sys.executable, "-m", "fide_plugins", "check", *what, "--json"],
             stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False,
         )  # fmt: skip
         if done.returncode:
@@ -144,11 +149,10 @@ class Tools:
 
         out: the run directory.  options: more flags of `fide fit`, such as ["--mask", "m.png"].
         """
-        rest = renderer_arguments(renderer, command, space)
-        what = ["--renderer", renderer] if renderer is not None else ["--command", str(command)]
+        what = renderer_arguments(renderer, command, space, "--renderer")
         numbers = ["--budget", str(budget), "--seed", str(seed)]
         resumed = ["--resume"] if resume else []
-        self._fits.start([target, *what, *rest, *numbers, *resumed, *(options or [])], Path(out))
+        self._fits.start([target, *what, *numbers, *resumed, *(options or [])], Path(out))
         end = time.monotonic() + wait
         while self._fits.is_running(Path(out)) and time.monotonic() < end:
             time.sleep(0.1)

@@ -17,7 +17,8 @@ changes.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,6 +26,9 @@ from fide_plugins.comparison.comparison import blurred
 from fide_plugins.runtime.schema import anything, array, check, each, flag, maybe, real, whole
 from fide_plugins.types import Float32, Float64
 from fide_plugins.views import Views
+
+if TYPE_CHECKING:
+    from fide_plugins.search.moves import Start
 
 __all__ = ["ScaleSpace", "predictability"]
 
@@ -69,12 +73,13 @@ class ScaleSpace:
         """Standard deviation of the present blur, in pixels; 0: images are sharp."""
         return self.left[0] * self._side if self.left else 0.0
 
-    @property
-    def patience(self) -> tuple[int, float]:
-        """Patience and improvement of coarse searches, in units of the run's."""
+    def patient(self, start: Start) -> Start:
+        """Where a search begins, with the patience of a coarse one where it is one."""
+        if not self.blur:
+            return start
         if self.asked:
-            return PATIENCE_ASKED, IMPROVEMENT_ASKED
-        return PATIENCE, IMPROVEMENT
+            return replace(start, patience=PATIENCE_ASKED, improvement=IMPROVEMENT_ASKED)
+        return replace(start, patience=PATIENCE, improvement=IMPROVEMENT)
 
     @property
     def share(self) -> float:

@@ -140,6 +140,12 @@ def check_size(height: int, width: int) -> None:
         )
 
 
+@lru_cache(8)
+def _length(height: int, width: int) -> int:
+    """Number of `statistics` of a picture of that size."""
+    return len(statistics(np.zeros((height, width, 3), np.float32)))
+
+
 class TextureEncoder(PatchEncoder):
     """Statistics of colors, frequencies and edges, without places."""
 
@@ -151,7 +157,7 @@ class TextureEncoder(PatchEncoder):
     def shape(self, height: int, width: int) -> tuple[int, int]:
         """(1, C); `ImageError` below 8 pixels along a side."""
         check_size(height, width)
-        return 1, len(statistics(np.zeros((height, width, 3), np.float32)))
+        return 1, _length(height, width)
 
     def _encode(self, images: torch.Tensor) -> torch.Tensor:
         with np.errstate(under="ignore"):  # squares of tiny differences

@@ -88,10 +88,17 @@ def _shifted(images: Tensor, generator: torch.Generator) -> Tensor:
 
 
 def _blurred(images: Tensor, generator: torch.Generator) -> Tensor:
-    sigma = uniform(len(images), 1, *_BLUR, generator).expand(-1, 2)
+    return out_of_focus(images, generator, _BLUR, 3)
+
+
+def out_of_focus(
+    images: Tensor, generator: torch.Generator, deviations: tuple[float, float], pixels: int
+) -> Tensor:
+    """Behind Gaussians of `pixels` x `pixels`, with standard deviations of that range."""
+    sigma = uniform(len(images), 1, *deviations, generator).expand(-1, 2)
     from kornia.filters import gaussian_blur2d
 
-    soft: Tensor = gaussian_blur2d(images, 3, sigma, border_type="replicate")
+    soft: Tensor = gaussian_blur2d(images, pixels, sigma, border_type="replicate")
     return soft
 
 
@@ -112,7 +119,12 @@ def _saturated(images: Tensor, generator: torch.Generator) -> Tensor:
 
 
 def _noisy(images: Tensor, generator: torch.Generator) -> Tensor:
-    deviation = uniform(len(images), 1, 0.0, _NOISE, generator)[:, :, None, None]
+    return noisy(images, generator, _NOISE)
+
+
+def noisy(images: Tensor, generator: torch.Generator, most: float) -> Tensor:
+    """With noise of a standard deviation up to `most`."""
+    deviation = uniform(len(images), 1, 0.0, most, generator)[:, :, None, None]
     noise = torch.randn(
         images.shape, generator=generator, device=generator.device, dtype=images.dtype
     )

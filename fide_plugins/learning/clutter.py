@@ -24,6 +24,8 @@ from fide_plugins.learning.augmentation import (
     check_installed,
     in_front,
     middles,
+    noisy,
+    out_of_focus,
     uniform,
 )
 from fide_plugins.learning.renders import Pixels, resized
@@ -178,19 +180,11 @@ def _lit(images: Tensor, generator: torch.Generator) -> Tensor:
 
 
 def _out_of_focus(images: Tensor, generator: torch.Generator) -> Tensor:
-    sigma = uniform(len(images), 1, *_FOCUS, generator).expand(-1, 2)
-    from kornia.filters import gaussian_blur2d
-
-    soft: Tensor = gaussian_blur2d(images, 5, sigma, border_type="replicate")
-    return soft
+    return out_of_focus(images, generator, _FOCUS, 5)
 
 
 def _grainy(images: Tensor, generator: torch.Generator) -> Tensor:
-    deviation = uniform(len(images), 1, 0.0, _GRAIN, generator)[:, :, None, None]
-    noise = torch.randn(
-        images.shape, generator=generator, device=generator.device, dtype=images.dtype
-    )
-    return images + deviation * noise
+    return noisy(images, generator, _GRAIN)
 
 
 _CLUTTER = (

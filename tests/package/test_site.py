@@ -187,6 +187,12 @@ def test_links_of_a_report_lead_somewhere(page: Path) -> None:
             assert not place or goal.suffix != ".md" or place in places(goal), link
 
 
+@pytest.mark.skipif(not (DOCS.parent / "lab/fide_lab").exists(), reason="the sources are not here")
+def test_the_picture_of_the_rooms_is_of_the_present_code() -> None:
+    rooms = load("rooms")
+    assert rooms.PICTURE.read_text("utf-8") == rooms.svg(), "run: python docs/rooms.py"
+
+
 def test_the_guide_is_short() -> None:
     pages = [*DOCS.rglob("*.md"), *DOCS.rglob("*.rst")]
     words = sum(len(page.read_text("utf-8").split()) for page in pages)
