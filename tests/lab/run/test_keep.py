@@ -1,4 +1,4 @@
-"""What a run records beside the losses: other losses, the film, generations, checksums."""
+"""What a run records beside the losses: other losses, generations, checksums."""
 
 from __future__ import annotations
 
@@ -12,19 +12,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from fide_lab import optimizers, run as harness
 from fide_lab.baselines.evolution import Random
 from fide_lab.run import Keep
-from fide_lab.run.loop import marks
 from fide_plugins import losses
 from fide_plugins.errors import PointsError
 from fide_plugins.recording.record import rounds
 from fide_plugins.types import Float64
 
 TARGET = np.random.default_rng(0).random((6, 8, 3)).astype(np.float32)
-KEEP = Keep(metrics=("mse", "loi"), film=True, summary=False, checkpoint=False)
+KEEP = Keep(metrics=("mse", "loi"), summary=False, checkpoint=False)
 
 
 class Tint:
@@ -75,28 +73,6 @@ def test_losses_that_are_nan_improve_nothing() -> None:
     best = np.minimum.accumulate(np.concatenate([[np.inf], finite]))
     assert result.improvements.tolist() == np.flatnonzero(best[1:] < best[:-1]).tolist()
     assert len(result.metrics["mse"]) == len(result.improvements)
-
-
-def test_the_film_shows_the_best_image_at_each_mark(tmp_path: Path) -> None:
-    task = Tint()
-    result = harness.run(task, "cma", budget=120, out=tmp_path, keep=KEEP)
-    assert {int(p.stem[6:]) for p in tmp_path.glob("frame-*.png")} == {1, 3, 10, 30, 100, 120}
-    for mark in marks(120):
-        best = task.images[int(result.losses[:mark].argmin())]
-        with Image.open(tmp_path / f"frame-{mark}.png") as png:
-            np.testing.assert_array_equal(np.asarray(png), np.rint(best * 255).astype(np.uint8))
-
-
-def test_large_frames_are_reduced(tmp_path: Path) -> None:
-    class Wall(Tint):
-        target = np.zeros((100, 400, 3), np.float32)
-
-        def render(self, X: Float64, seed: Any = None) -> Any:
-            return np.broadcast_to(X[:, None, None, :], (len(X), 100, 400, 3)).astype(np.float32)
-
-    harness.run(Wall(), "random", budget=1, out=tmp_path, keep=KEEP)
-    with Image.open(tmp_path / "frame-1.png") as png:
-        assert png.size == (160, 40)
 
 
 def test_all_of_it_survives_an_interruption(tmp_path: Path) -> None:
