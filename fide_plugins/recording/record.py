@@ -275,7 +275,13 @@ class Record:
         return improved
 
     def judge_best(self, best: Solution) -> None:
-        """Replace the best candidate, after images began to be compared in another way."""
+        """Replace the best candidate, after images began to be compared in another way.
+
+        Of all others the losses are of the old comparison, and become infinite.
+        """
+        self.losses = array("d", [math.inf]) * self.evaluations
+        self.losses[best.evaluation] = best.loss
+        self.improvements, self.path = array("q", [best.evaluation]), [best.x.copy()]
         self.best_loss, self.best_evaluation = best.loss, best.evaluation
         self.x_best, self.image = best.x.copy(), best.image
 
