@@ -25,7 +25,6 @@ from fide_plugins.fitting.failures import (
 )
 from fide_plugins.fitting.loop import Loop
 from fide_plugins.fitting.pictures import as_compared, as_told, best_compared, canonical, shown
-from fide_plugins.fitting.processes import Processes
 from fide_plugins.fitting.rendering import Failed, Outcome, Renderer
 from fide_plugins.fitting.result import Result, histories
 from fide_plugins.fitting.saved_run import SavedRun, Unsaved
@@ -39,7 +38,6 @@ from fide_plugins.uncertainty.at_answer import AtAnswer
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
-    from fide_plugins.learning.hypotheses import Rounds
     from fide_plugins.types import Float64, Solution
 
 __all__ = ["FitInterrupted", "Fitting"]
@@ -77,14 +75,13 @@ class Fitting:
         timeout: float | None = None,
         progress: object = None,
         checkpoint_every: float = 5.0,
-        rounds: Rounds | None = None,
         plan: Mapping[str, Any] | None = None,
         max_failures: float = 1.0,
     ) -> None:
         self.optimizer, self.record, self.saved = optimizer, record or Record(), saved
         self._renderer, self._workers, self._stopping = renderer, workers, stopping
         self._callbacks, self._timeout, self._progress = callbacks, timeout, progress
-        self._checkpoint_every, self._rounds, self._plan = checkpoint_every, rounds, plan or {}
+        self._checkpoint_every, self._plan = checkpoint_every, plan or {}
         self._failures = Failures(self.record.failures, max_failures)
         self._comparisons = optimizer.state.comparisons
         self._extremes = Extremes(optimizer.views)
@@ -125,14 +122,11 @@ class Fitting:
             return self._end(stopped, interrupts, None)
 
     def _run(self) -> str:
-        """Learn and search; returns why the search has ended."""
+        """Search; returns why the search has ended."""
         loop = self._loop
         loop.stopped = loop.over()
         if loop.stopped is None and self._callbacks.call("on_start", self._as_run()):
             loop.stopped = "callback"
-        if loop.stopped is None and self._rounds is not None:
-            workers = self._workers.number if isinstance(self._workers, Processes) else 1
-            loop.learn(self._rounds, workers, self._report)
         return loop.run()
 
     # -- steps of the loop -------------------------------------------------------------------------

@@ -65,8 +65,7 @@ class Result:
         in [0, 1]; None without constraints, and of a result that was read.
     seconds: of fitting, likewise.
     busy: fraction of the time of this call's search that its workers rendered, in [0, 1].  It
-        counts renders that gave an image, and nothing of what `preset="global"` does before the
-        search.  NaN of a result that was read.
+        counts renders that gave an image.  NaN of a result that was read.
     stopped: why it ended: "solved", "noise", "stalled" (see `fit`), "budget", "time", "stop_at",
         "callback", "interrupted" or "failed"; of a run that was read also "running", and "finished"
         where it has one rule only.

@@ -21,7 +21,6 @@ from fide_plugins.errors import FideError, ImageError, OptionError
 from fide_plugins.fide import FIDE
 from fide_plugins.fitting.pictures import best_compared, counting, picture, shown, side_by_side
 from fide_plugins.fitting.result import Result, histories, optimizer_in
-from fide_plugins.options import GLOBAL
 from fide_plugins.recording.directory import RunDirectory, try_each
 from fide_plugins.recording.parameters import read_solutions, solutions_as_data
 from fide_plugins.recording.record import Record, RunResult, Verdict, result_of
@@ -204,15 +203,13 @@ class Unsaved:
             saved.leave(state, self.stopped, record, optimizer, self.solutions)
 
 
-def settings_of(
-    name: str, optimizer: FIDE, options: Mapping[str, Any], budget: int | None
-) -> dict[str, Any]:
+def settings_of(name: str, optimizer: FIDE, options: Mapping[str, Any]) -> dict[str, Any]:
     """What defines a fit.
 
     name: of what renders; options: of the optimizer, as the user gave them.  Arrays are recorded by
     their digest, mask and weights by that of their product; a starting point, its width and groups
     as the optimizer has made them, in whatever form they were given.  The budget is a limit, which
-    may change, unless rounds of learning divide it.
+    may change.
     """
     target = optimizer.evaluator.target
     space = optimizer.space
@@ -239,7 +236,6 @@ def settings_of(
         "weights": _recorded(optimizer.weights),
         "loss": optimizer.evaluator.loss.name,
         "seed": optimizer.seed,
-        **({"budget": budget} if options.get("preset") == GLOBAL else {}),
     }
 
 
