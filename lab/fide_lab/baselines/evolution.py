@@ -81,7 +81,7 @@ class CMA(Baseline):
         except ImportError as error:
             raise missing("lab", "this optimizer needs the package cma") from error
         unlimited = {"maxstd_boundrange": np.inf} if self.dim == 1 else {}  # the limit fails there
-        settings = {
+        settings: dict[str, Any] = {
             **unlimited,
             "bounds": [0.0, 1.0],
             "seed": np.nan,  # the library's sign for: leave the global state alone
