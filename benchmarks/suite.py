@@ -56,6 +56,7 @@ from fide_lab.suite.problems import check_budgets
 from fide_lab.suite.scores import Scores, within
 from fide_plugins.cli.arguments import names, whole
 from fide_plugins.errors import OptionError
+from fide_plugins.types import Float64
 
 RESULTS = Path(__file__).parent / "results"
 OPTIMIZERS = (

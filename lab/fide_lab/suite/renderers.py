@@ -162,8 +162,8 @@ def _hits(start: Any, rays: Any, center: Float64, radius: float) -> tuple[Any, A
 
 def ball_by_povray(p: Values) -> Float32:
     """The same with soft shadows, gloss and a floor that reflects; RuntimeError without POV-Ray."""
-    vectors: dict[str, Any] = {"eye": _eye(p), "aim": _AIM, "sun": 30 * _direction(p["sun"], p["height"]),
-               "sky": _SKY}  # fmt: skip
+    sun = 30 * _direction(p["sun"], p["height"])
+    vectors: dict[str, Any] = {"eye": _eye(p), "aim": _AIM, "sun": sun, "sky": _SKY}
     texts = {name: ", ".join(f"{x:.6f}" for x in vector) for name, vector in vectors.items()}
     program = _PROGRAM.format(angle=_ANGLE, **{**p, **texts})
     with tempfile.TemporaryDirectory() as folder:
