@@ -23,11 +23,13 @@ import time
 from array import array
 from collections.abc import Callable, Mapping
 from contextlib import closing, nullcontext, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from fide_lab.run.foreign import ERROR, Foreign
 from fide_lab.run.task import Task, TaskInfo
 from fide_plugins import losses as losses_module
 from fide_plugins.errors import FideError, PointsError, RenderError
@@ -90,6 +92,9 @@ class Run:
         self._info = TaskInfo.of(task)
         self._budget: int = settings["budget"]
         self._clipping = Clipping()
+        self._foreign: Foreign | None = None
+        if self._info.error is not None:
+            self._foreign = Foreign(self._info, target, settings["loss"], optimizer)
 
     @property
     def advice(self) -> str | None:
@@ -162,6 +167,11 @@ class Run:
     def tell(self, X: Float64, images: Any) -> bool:
         """Evaluate, tell and record a piece X (n, dim) with its images."""
         record, start = self.record, time.perf_counter()
+        if self._foreign is not None:
+            self._loop.whole = False
+            batch, losses = self._foreign.tell(self.optimizer, X, images, record)
+            self._loop.tick()
+            return self._enter(X, batch, losses)
         try:
             batch = as_batch(images, self.target.shape, n=len(X), on_clip=self._clipping)
             losses = self.loss.compute(batch)
@@ -173,6 +183,11 @@ class Run:
         with record.timing(self.optimizer):
             self.optimizer.tell(X, batch, losses)
         self._loop.tick()
+        return self._enter(X, batch, losses)
+
+    def _enter(self, X: Float64, batch: Float32, losses: Float64) -> bool:
+        """Record what was told; whether it holds the best loss so far."""
+        record = self.record
         improved = record.add(X, batch, losses)
         start = time.perf_counter()
         with self._loop.not_counted():
@@ -183,6 +198,8 @@ class Run:
 
     def _observe(self, batch: Float32, improved: list[int]) -> None:
         """Measure improvements, the images of these indices, by the other losses."""
+        if self._foreign is not None:
+            self._foreign.note_errors(self.record)
         for name, metric in self._metrics.items():
             values = self.record.metrics.setdefault(name, array("d"))
             if improved:
@@ -256,9 +273,13 @@ class Run:
         r, reference = self.record, self._info.reference
         recommended = None if r.x_best is None else self._recommended()
         try:
-            return judge(
+            verdict = judge(
                 reference, self.target, self.loss, r.x_best, r.image, recommended, self._metrics
             )
+            if self._foreign is not None and r.x_best is not None:
+                verdict.metrics[ERROR] = self._foreign.error(r.x_best)
+                return replace(verdict, loss=r.best_loss)  # by another comparison than `judge`
+            return verdict
         except FideError:
             raise
         except Exception as error:
