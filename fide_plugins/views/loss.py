@@ -9,8 +9,14 @@ import torch
 
 from fide_plugins import losses
 from fide_plugins.errors import LossError
-from fide_plugins.losses.base import CallableLoss, ImageLoss, LossOfTarget, as_losses
-from fide_plugins.losses.own import check_loss, loss_not_stored
+from fide_plugins.losses.base import (
+    CallableLoss,
+    ImageLoss,
+    LossOfTarget,
+    as_losses,
+    check_loss,
+    loss_not_stored,
+)
 from fide_plugins.runtime.registry import name_of
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.types import Float32, Float64
