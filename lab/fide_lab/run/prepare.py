@@ -236,6 +236,10 @@ def make_task(
         if others := sorted(options.keys() - {"suite", "least_spp"}):
             raise OptionError(f"a suite is fixed and does not leave {others[0]} open; leave it out")
         scene, target_seed = read_suite(options["suite"]).problem(name)
+        if scene.metric is not None:
+            from fide_lab.suite.foreign import make
+
+            return make(scene.name, target_seed)
         return make_task(scene.task or scene.name, scene.size, target_seed, scene.options)
     if is_own(name, options):
         return make_renderer_task(name, seed, options)
