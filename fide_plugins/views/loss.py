@@ -36,7 +36,7 @@ def loss_of(
     """Loss from a name, None for "mse", a callable, or a loss of one view that was made.
 
     A callable gets a list of batches (n, H, W, 3) if the target is a list, one batch otherwise.  A
-    user's own is tried on the target first (`losses.own`).
+    user's own is tried on the target first (`losses.base`).
     Raises as `losses.resolve`; LossError for a made loss where there are several views.
     """
     if isinstance(loss, LossOfViews | CallableOfViews):
