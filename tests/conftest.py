@@ -122,7 +122,6 @@ def _only_drawn_where_it_is_looked_at(
     if request.node.get_closest_marker("figures") is None:
         for name in ("fide_plugins.recording.figures.summary", "fide_lab.report.plots.png"):
             monkeypatch.setattr(name, lambda *_: EMPTY_PNG)
-        monkeypatch.setattr("fide_lab.report.plots.as_file", lambda _: EMPTY_SVG)
 
 
 @pytest.fixture(autouse=True)
@@ -144,7 +143,6 @@ def empty_png() -> bytes:
 
 
 EMPTY_PNG = empty_png()
-EMPTY_SVG = b'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1 1"></svg>'
 
 
 @pytest.fixture

@@ -335,7 +335,6 @@ def write_tables(out: Path, combinations: Sequence[Combination]) -> str:
         for axis in AXES:
             figure = plots.tradeoff(_curves(mine, axis), _staircase(mine, axis), axis, _loss(mine))
             stem = out / f"tradeoff-{as_file_name(task)}-{axis}"
-            files.write_bytes(stem.with_name(stem.name + ".svg"), plots.as_file(figure))
             files.write_bytes(stem.with_name(stem.name + ".png"), plots.png(figure))
         sections.append(_section(task, mine))
     text = "\n\n".join(["# Speed against accuracy", *sections]) + "\n"

@@ -24,8 +24,8 @@ from fide_plugins.types import Float64
 
 __all__ = ["AXES", "AllFailedError", "Curve", "NoResultsError", "Results", "StoredRun", "read"]
 
-AXES = ("renders", "seconds", "rounds")
-"""Horizontal axes of a convergence curve; rounds: see `recording.parallel`."""
+AXES = ("renders", "seconds")
+"""Horizontal axes of a convergence curve."""
 
 
 class NoResultsError(FideError, FileNotFoundError):
@@ -208,15 +208,14 @@ def _curve(folder: Path, run: dict[str, Any]) -> Curve:
     names, *rows = csv.reader(read_regular(folder / "improvements.csv").decode().splitlines())
     table = np.array(rows, np.float64).reshape(len(rows), len(names)).T
     columns = dict(zip(names, table, strict=True))
+    del columns[f"round_of_{WORKERS}"]
     totals = run["totals"]
     at = {
         "renders": columns.pop("evaluation") + 1,
         "seconds": columns.pop("seconds"),
-        "rounds": columns.pop(f"round_of_{WORKERS}"),
     }
     ends = {
         "renders": float(totals["evaluations"]),
         "seconds": float(totals["wall_s"]),
-        "rounds": float(totals["rounds"]),
     }
     return Curve(at, ends, columns.pop("loss"), columns)
