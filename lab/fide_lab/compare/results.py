@@ -173,7 +173,7 @@ def read(path: str | os.PathLike[str]) -> Results:
     if record is None:
         raise NoResultsError(f"{folder} holds no comparison; make one: fide compare ... --out DIR")
     runs = [_read_run(folder, key, identity) for key, identity in runs_of(record)]
-    warn_of_mixed(folder, [(one.key, one.run) for one in runs if one.state == "finished"])
+    warn_of_mixed(folder, [one.run for one in runs if one.state == "finished"])
     return Results(
         folder,
         record["settings"],
