@@ -26,8 +26,8 @@ from torch import Tensor
 from fide_plugins.cli import main
 from fide_plugins.types import Float32, Float64
 
-# The same cases every time, so that a change is judged by what it changes; a longer run, see
-# lab/reports/extremes.md, looks for new ones.
+# The same cases every time, so that a change is judged by what it changes; a longer run
+# (FIDE_CASES=1) looks for new ones.
 hypothesis.settings.register_profile("same", derandomize=True, deadline=None)
 if "FIDE_CASES" not in os.environ:
     hypothesis.settings.load_profile("same")
