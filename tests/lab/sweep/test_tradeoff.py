@@ -97,6 +97,7 @@ def test_every_combination() -> None:
         f"fide:popsize={k}:preset={preset}" for preset in ("balanced", "paper") for k in (20, 40)
     ]
     assert len(configurations({})) == 4
+    wrong: dict[str, Any]
     for wrong in ({"preset": []}, {"popsize": [8, 8]}, {"preset": ["best"]}):
         with pytest.raises(OptionError):
             configurations(wrong)
