@@ -109,7 +109,7 @@ def _photograph(name: str) -> NDArray[np.uint8]:
 _BOARD = {"rx": (-0.9, 0.9), "ry": (-0.9, 0.9), "rz": (-np.pi, np.pi), "cx": (80, 560),
           "cy": (60, 420), "dist": (8, 26), "f": (450, 650), "k1": (-0.4, 0), "ink": (0, 0.4),
           "paper": (0.5, 1), "bg": (0.1, 0.8)}  # fmt: skip
-_NEAR = 0.25  # of each range: the box of a problem that begins near the answer
+_NEAR = 0.1  # of each range: the box of a problem that begins some 15 pixels off
 
 
 @cache
