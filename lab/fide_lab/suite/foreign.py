@@ -60,7 +60,7 @@ class Problem:
         self.target, self.truth, self.light = np.asarray(target, np.float32), truth, light
         self.search_space = space if isinstance(space, Space) else None
         self.dim = space.dim if isinstance(space, Space) else space
-        self._draw, self._wrong = draw, wrong
+        self.draw, self._wrong = draw, wrong
 
     def decode(self, x: Float64) -> Any:
         """What is drawn for a point (dim,)."""
@@ -69,7 +69,7 @@ class Problem:
     def render(self, X: Float64, seed: Sequence[int] | None = None) -> list[Any]:
         """Images of candidates (n, dim), or pairs of an image and its coverage."""
         seeds = [0] * len(X) if seed is None else seed
-        return [self._draw(self.decode(x), s) for x, s in zip(X, seeds, strict=True)]
+        return [self.draw(self.decode(x), s) for x, s in zip(X, seeds, strict=True)]
 
     def error(self, x: Float64) -> float:
         """How wrong a point (dim,) is."""
