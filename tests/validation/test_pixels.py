@@ -159,7 +159,7 @@ def tried(render: Any = render, target: Any = PICTURE, space: Any = SPACE, **opt
          " render, target, space, budget,.*; of FIDE, those that matter most: loss"),
         (lambda: tried(pop_size=8), r"did you mean 'popsize'"),
         (lambda: tried(weight=PICTURE), r"did you mean 'weights'"),
-        (lambda: Space.from_toml('[a]\ntype = "int"\nlow = 0\nhihg = 1'), "unknown key of an int"),
+        (lambda: Space.from_toml('[a]\ntype = "int"\nlow = 0\nhihg = 1'), "unknown key"),
     ],
 )  # fmt: skip
 def test_the_remedy_is_named(call: Callable[[], object], message: str) -> None:
