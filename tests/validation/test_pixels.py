@@ -137,9 +137,7 @@ def tried(render: Any = render, target: Any = PICTURE, space: Any = SPACE, **opt
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: Int(THREE, 5), r"not 3\.0; write 3$"),
-        (lambda: Int(HALF, 5), r"not 0\.5; use Float for real numbers"),
-        (lambda: Int(HUGE, 5), "use Float for real numbers"),
+        (lambda: Int(HALF, 5), "Float takes real numbers"),
         (lambda: tried(budget=20.0), r"budget must be a whole number >= 1, not 20\.0; write 20$"),
         (lambda: tried(budget=2.5), r"not 2\.5$"),
         (lambda: tried(budget=-2.0), r"not -2\.0$"),
