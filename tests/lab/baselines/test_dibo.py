@@ -13,7 +13,6 @@ from fide_lab.baselines.dibo import (
     DiBO,
     Diffusion,
     Ensemble,
-    NoisePredictor,
     Round,
     RoundOptions,
     program_likelihood,
@@ -132,13 +131,6 @@ def test_the_reward_is_higher_where_the_ensemble_disagrees() -> None:
     values = torch.stack([member(x)[:, 0] for member in ensemble.members])
     torch.testing.assert_close(ensemble(x), values.mean(0) + 2.0 * values.std(0))
     assert sum(p.numel() for p in ensemble.parameters()) == 5 * (4 * 16 + 3 * 17 * 16 + 17)
-
-
-def test_the_noise_predictor_knows_the_time() -> None:
-    network = make(lambda: NoisePredictor(3, 32), seeded(), DOUBLE)
-    x = torch.rand(6, 3, generator=seeded(), dtype=DOUBLE)
-    early, late = (network(x, torch.full((6,), t, dtype=DOUBLE)) for t in (0.0, 0.5))
-    assert early.shape == (6, 3) and not torch.allclose(early, late)
 
 
 def small_round(**changes: Any) -> Round:

@@ -52,15 +52,6 @@ def test_candidates_lie_in_the_box_and_the_best_is_kept(subject: Subject, dim: i
     assert opt.recommend().min() >= 0.0 and opt.recommend().max() <= 1.0
 
 
-def test_who_reads_the_best_may_write_to_it(subject: Subject) -> None:
-    opt = subject.make(2)
-    subject.tell(opt, opt.ask(1))
-    assert opt.best is not None
-    before, x = opt.best.x.copy(), opt.best.x
-    x *= 60
-    np.testing.assert_array_equal(opt.best.x, before)
-
-
 def test_pieces_and_order_do_not_matter(subject: Subject) -> None:
     whole, pieces = subject.make(5, seed=3), subject.make(5, seed=3)
     rng = np.random.default_rng(0)
@@ -175,14 +166,6 @@ def test_candidates_told_in_single_precision(subject: Subject, workers: int) -> 
         exact.tell(X, images, losses)
         single.tell(X.astype(np.float32), images, losses)
     np.testing.assert_array_equal(exact.ask(), single.ask())
-
-
-def test_cma_converges_where_candidates_pass_through_single_precision() -> None:
-    opt = optimizers.make("cma", 10, seed=0)
-    while opt.evaluations < 1500:
-        X = opt.ask().astype(np.float32)
-        opt.tell(X, losses=sphere(X.astype(np.float64)))
-    assert opt.best is not None and opt.best.loss < 1e-4
 
 
 def test_bad_input_is_refused_before_anything_changes(subject: Subject) -> None:

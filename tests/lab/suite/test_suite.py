@@ -142,7 +142,7 @@ def test_a_part_from_the_command_line(
         ["lamps-0", "1000", name] for name in ("cma", "random", "eki:popsize=20")
     ]
     text = (out / "report.html").read_text()
-    assert text.count("<img ") == 2 and "1 of 110 problems" in text
+    assert text.count("<img ") == 1 and "1 of 110 problems" in text
     assert "3 optimizers, 1 problem of 1 scene, read at 40 renders" in text
     assert "eki:popsize=20" in text and "| eki:popsize=20 |" in (out / "report.md").read_text()
     assert (out / "figures" / "data-profile.png").is_file()
