@@ -115,8 +115,8 @@ def load(
 
 def options(name: Named) -> list[str]:
     """Names of the options of optimizer `name`; empty where it takes any."""
-    known: set[str] = set()
     resolved = _resolve(name)
+    known = set(getattr(resolved, "more_options", ()))
     if hasattr(resolved, "option_names"):
         return list(resolved.option_names())
     classes: tuple[Any, ...] = inspect.getmro(resolved) if inspect.isclass(resolved) else ()

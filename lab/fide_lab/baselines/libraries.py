@@ -150,13 +150,6 @@ class Sequential(Baseline):
         self.starts = 0  # searches begun so far
         self._penalty = Penalty()
         self._library: ReverseCommunication | None = None
-        self._closed = False
-
-    def close(self) -> None:
-        """End the library's thread, as happens to an optimizer that is no longer referred to."""
-        self._closed = True
-        if self._library is not None:
-            self._library.close()
 
     def _search(self) -> Search:
         """The next search, of which `starts` were begun before; it must not refer to self."""
@@ -172,8 +165,6 @@ class Sequential(Baseline):
 
     def _sample(self) -> Float64:
         """Point (1, dim) whose value the search waits for; begins a search if there is none."""
-        if self._closed:
-            raise ProtocolError(f"this {self.name} was closed; make or load another one")
         for _ in range(2):  # a search that is over is followed by another, which has a point
             if self._library is None or self._library.over:
                 self._library = ReverseCommunication(self._search(), self._surroundings())

@@ -139,8 +139,7 @@ def small_round(**changes: Any) -> Round:
     y = -(x - 0.8).square().sum(dim=1)
     small = {"width": 16, "proxy_width": 32, "diffusion_steps": 6, "batch": 32, "proposals": 2}
     epochs = {"proxy_epochs": 25, "prior_epochs": 10, "posterior_epochs": 3, "search_epochs": 20}
-    usual = {"alpha": 1e-4, "gamma": 1.0}
-    options = RoundOptions.checked(**{**small, **epochs, **usual, **changes})
+    options = RoundOptions(**{**small, **epochs, **changes})
     return Round(options, (x - x.mean(0)) / x.std(0), (y - y.mean()) / y.std(), seeded(3))
 
 

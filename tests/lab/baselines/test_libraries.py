@@ -26,7 +26,6 @@ from fide_plugins.errors import (
     DependencyError,
     OptimizerError,
     OptionError,
-    ProtocolError,
     UnknownNameError,
 )
 from fide_plugins.types import Float32, Float64
@@ -214,14 +213,6 @@ def test_a_population_has_no_effect_and_one_warning() -> None:
             opt.tell(X, losses=rastrigin(X))
             same.tell(X, losses=rastrigin(X))
     assert len(found) == 1 and found[0].filename == __file__
-
-
-def test_it_evaluates_one_point_at_a_time_until_it_is_closed() -> None:
-    opt = DualAnnealing(2, seed=0)
-    opt.tell(opt.ask(), losses=[1.0])
-    opt.close()
-    with pytest.raises(ProtocolError, match="was closed"):
-        opt.ask()
 
 
 # -- with FIDE's denoiser --------------------------------------------------------------------------
