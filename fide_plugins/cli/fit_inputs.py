@@ -104,7 +104,7 @@ def _view(path: str, target: Any, side: int | None, raw: bool, given: dict[str, 
     """
     from fide_plugins.validation.image_files import read_pixels, shrunk
     from fide_plugins.validation.images import alpha_of
-    from fide_plugins.views.weights import ALPHA, joined, read_weights
+    from fide_plugins.views.given import ALPHA, joined, read_weights
 
     size, product, counting = target.shape[:2], None, []
     for name, one in given.items():
