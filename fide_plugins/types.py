@@ -113,15 +113,12 @@ class Solution:
     def std(self) -> Float64 | None:
         """(dim,), standard deviation of each parameter, in units of the unit cube.
 
-        It says how far the truth may be from here: by the noise of the images, by what the search
-        has left, and by what the images do not show (at most 0.29, that of any value).  It is an
-        estimate by a linear model, no measurement, and local: of other basins it knows nothing.
-        That of `fit`'s `Result.best` is by renders around the answer, and counts what the renderer
-        cannot draw (`uncertainty.at_answer`); others are by samples of the search, and depend on
-        its path.  NaN on the axes of integers and choices; None where too few images are known.  It
-        is that of the time at which this solution was read of
-        the optimizer, whenever it is asked for.  Until then the solution keeps what the optimizer
-        remembered (`memory_mb`): of solutions that are collected over a run, read it at once.
+        It says how far the truth may be: by the noise of the images, by what the search has left,
+        and by what the images do not show (at most 0.29, that of any value).  It is an estimate by
+        a linear model, and local: of other basins it knows nothing.  That of `fit`'s `Result.best`
+        is by renders around the answer (`uncertainty.at_answer`); others are by samples of the
+        search.  NaN on the axes of integers and choices; None where too few images are known.
+        Until it is read the solution keeps what the optimizer remembered (`memory_mb`).
         """
         return None if self.estimate is None else self.estimate.std
 
@@ -129,10 +126,8 @@ class Solution:
     def undetermined(self) -> tuple[str, ...]:
         """Names of the parameters that the images do not determine; without a space "x[i]".
 
-        Numbers whose `std` is at least 0.2, nearly that of a uniform distribution; what a picture
-        of hard edges fixes is not among them.  Integers and choices of which another value was
-        rendered that explains the target as well, with these or with other parameters.  Like `std`
-        an estimate, from samples near here.  Empty where nothing is known, as `std` is None.
+        Numbers whose `std` is at least 0.2; integers and choices of which another value explains
+        the target as well.  Empty where nothing is known, as `std` is None.
         """
         if self.estimate is None or self.std is None:
             return ()

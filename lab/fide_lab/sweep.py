@@ -33,7 +33,7 @@ from fide_plugins.runtime import files
 from fide_plugins.types import Float32
 
 OPTIMIZER = ("preset", "popsize", "encoder")
-NETWORK = ("epochs", "steps", "parameter_tokens", "precision")
+NETWORK = ("epochs", "steps")
 TASK = ("size", "spp")
 OPTIONS = (*OPTIMIZER, *NETWORK, *TASK)
 """Options that can be swept."""

@@ -80,17 +80,6 @@ def test_all_solutions_are_shown_with_their_own_images(
         assert one["std"] == known
 
 
-def test_hypotheses_near_no_solution_are_told(
-    run: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    line = "50% of the model's hypotheses are near none of these: probabilities are relative"
-    for share in (0.004, 0.5):
-        monkeypatch.setattr(FIDE, "elsewhere", lambda self, solutions, share=share: share)
-        capsys.readouterr()
-        assert fide("solutions", run) == 0
-        assert (line in capsys.readouterr().out.splitlines()) == (share == 0.5)
-
-
 def test_a_fit_of_python_shows_the_best_image_and_says_what_is_not_stored(run: Path) -> None:
     (run / "solutions.ckpt").unlink()
     found = read(run)

@@ -120,15 +120,6 @@ def refused_or_goes_on(state: Any) -> None:
     assert np.isfinite(opt.recommend()).all()
 
 
-@pytest.mark.parametrize("name", ["B", "D", "C"])
-def test_a_covariance_that_is_not_that_of_its_eigenvectors_is_refused(name: str) -> None:
-    value = STATES["both"]["state"]["search"]["distribution"][name]
-    odd = changed(STATES["both"], ("state", "search", "distribution", name), 0.5 * value)
-    checkpoint.write(FOLDER / "odd", "fide", odd)
-    with pytest.raises(CheckpointError, match="not those of the covariance"):
-        FIDE.load(FOLDER / "odd")
-
-
 def damage(data: bytes, kinds: list[tuple[int, int, int]]) -> bytes:
     """Change, insert, remove, double or cut bytes: (kind, where, what)."""
     for kind, where, what in kinds:

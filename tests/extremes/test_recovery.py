@@ -37,24 +37,6 @@ def test_an_answer_in_a_corner(answer: Float64) -> None:
     np.testing.assert_allclose(opt.best.x, answer, atol=2e-3)
 
 
-def test_parameters_without_effect() -> None:
-    """Twelve beside the four: those that matter are found."""
-    answer = np.concatenate([np.full(DIM, 0.7), np.full(12, 0.5)])
-    opt = fit(16, answer, lambda X: render(X[:, :DIM]), 1000)
-    assert opt.best is not None and opt.best.loss < 1e-6
-
-
-def test_parameters_that_do_the_same() -> None:
-    """Three of each, whose mean counts: the features have a third of the rank of the parameters."""
-    opt = fit(
-        3 * DIM,
-        np.full(3 * DIM, 0.7),
-        lambda X: render(X.reshape(len(X), DIM, 3).mean(axis=2)),
-        1000,
-    )
-    assert opt.best is not None and opt.best.loss < 1e-6
-
-
 def test_a_population_in_one_point_moves_on() -> None:
     """Told thirty times that all were in one point; then a minimum elsewhere is found."""
     search, rng = CMAES(np.full(DIM, 0.5), 1 / 6, 8), np.random.default_rng(0)

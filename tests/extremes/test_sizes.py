@@ -71,33 +71,6 @@ def refused(images: Any, opt: FIDE, X: Float64) -> None:
     ) == before
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("pixels", [1, 12])
-def test_pixels_that_are_no_numbers(value: float, pixels: int) -> None:
-    opt = FIDE(2, np.zeros((2, 2, 3)), seed=0)
-    X = opt.ask()
-    images = np.zeros((len(X), 2, 2, 3))
-    images[-1].reshape(-1)[:pixels] = value
-    refused(images, opt, X)
-    opt.tell(X, np.nan_to_num(images, posinf=1.0, neginf=0.0))
-    assert opt.evaluations == len(X)
-
-
-@pytest.mark.filterwarnings("ignore:.*clipped to:RuntimeWarning")
-@pytest.mark.parametrize("scale", [1e-45, 1e-30, 7.0, -1e30])
-def test_brightness(scale: float) -> None:
-    """Told as it is: what is beyond [0, 1] is clipped, and ranks like what is clipped."""
-    target = np.zeros((2, 2, 3), np.float32)
-    opt, clipped = (FIDE(2, target, seed=0) for _ in range(2))
-    for _ in range(5):
-        X = opt.ask()
-        images = shown(X, (2, 2)) * np.float32(scale)
-        opt.tell(X, images)
-        np.testing.assert_array_equal(clipped.ask(), X)
-        clipped.tell(X, np.clip(images, 0, 1))
-    np.testing.assert_array_equal(opt.ask(), clipped.ask())
-
-
 @pytest.mark.parametrize("value", [1e30, 3e38, 1e300])
 def test_a_brightness_beyond_any_scale_is_refused(value: float) -> None:
     opt = FIDE(2, np.zeros((2, 2, 3)), seed=0)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import copy
 import pickle
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -77,17 +76,6 @@ def propose(proposer: BackgroundProposer) -> Float64:
     return proposer.propose(Z, torch.zeros(1, 1), Z[0], np.ones(3), RNG)
 
 
-def test_another_search_begins_whatever_training_raised() -> None:
-    """It is raised later: what forgets is in the middle of something."""
-    GATE.set()
-    proposer, inner = taught(loss=np.nan)
-    inner.learned = [3.0]
-    proposer.forget()
-    assert inner.learned == []
-    with pytest.raises(ArithmeticError, match="diverged"):
-        proposer.state_dict()
-
-
 def test_busy_while_it_learns() -> None:
     proposer, _ = taught()
     assert proposer.busy
@@ -112,30 +100,6 @@ class Place:
 
     def synchronize(self) -> None:
         self.waited = True
-
-
-@pytest.mark.parametrize("loss", [1.0, np.nan])
-def test_it_learns_on_the_stream_that_its_caller_uses(
-    loss: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """And is done with it, on the device as well, when it says so."""
-    stream, seen = Place("the caller's"), []
-
-    class Watched(Slow):
-        def update(self, *arguments: Any) -> None:
-            seen.append(list(Place.here.names))
-            super().update(*arguments)
-
-    GATE.set()
-    monkeypatch.setattr(torch.cuda, "current_stream", lambda device: stream)
-    monkeypatch.setattr(torch.cuda, "stream", lambda stream: stream)
-    monkeypatch.setattr(torch.cuda, "device", lambda device: Place(str(device)))
-    proposer = BackgroundProposer(Watched(), torch.device("cuda:1"))
-    proposer.update(Z, torch.zeros(2, 1, 1), np.full(2, loss), np.ones(3))
-    with contextlib.suppress(ArithmeticError):
-        propose(proposer)
-    assert seen == [["cuda:1", "the caller's"]]
-    assert stream.waited
 
 
 def test_update_returns_before_training_is_over_and_proposals_wait_for_it() -> None:
@@ -180,12 +144,3 @@ def test_what_training_raises_is_raised_once_by_whoever_waits(by: str) -> None:
     np.testing.assert_array_equal(propose(proposer), Z + learned)  # and it goes on
     proposer.update(Z, torch.zeros(2, 1, 1), np.ones(2), np.ones(3))
     np.testing.assert_array_equal(propose(proposer), Z + learned + 2)
-
-
-def test_a_forked_child_has_learned_all_of_it(
-    forked: Callable[[Callable[[], object]], str],
-) -> None:
-    proposer, _ = taught()
-    threading.Timer(0.05, GATE.set).start()
-    assert forked(proposer.state_dict) == repr({"learned": [2.0]})
-    assert proposer.state_dict() == {"learned": [2.0]}

@@ -14,7 +14,6 @@ import torch
 
 from fide_plugins.fide import FIDE
 from fide_plugins.proposers.diffusion import BackgroundProposer, DiffusionProposer
-from fide_plugins.runtime.devices import has_bfloat16
 from fide_plugins.types import Float64
 
 pytestmark = pytest.mark.gpu
@@ -82,16 +81,6 @@ def test_it_learns_there() -> None:
         last = proposer.update(x, tokens, None, STD)[-1]
     assert float(last) < 0.5 * float(first)
     assert not (propose(proposer, "cuda") == x).any()  # samples that the network gave no number for
-
-
-def test_bfloat16_is_near_float32() -> None:
-    if not has_bfloat16(torch.device("cuda")):
-        pytest.skip("needs products of bfloat16")
-    kinds = [learned("cuda", precision=kind) for kind in ("float32", "bfloat16")]
-    off = np.abs(propose(kinds[0], "cuda") - propose(kinds[1], "cuda")).max()
-    assert 0 < off < STD[0]
-    weights = kinds[1].state_dict()["weights"].values()
-    assert {weight.dtype for weight in weights} == {torch.float32}
 
 
 @pytest.mark.parametrize("stream", [False, True])

@@ -35,9 +35,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--encoder", type=names, metavar="A,B", help="see: fide list encoders (the preset's)")
     add("--epochs", type=wholes(1), metavar="N,M", help="training epochs per generation (4)")
     add("--steps", type=wholes(1), metavar="N,M", help="denoising steps (3)")
-    add("--tokens", type=wholes(1), metavar="N,M", dest="parameter_tokens",
-        help="tokens of the parameters in the network (one for each)")  # fmt: skip
-    add("--precision", type=names, metavar="A,B", help="float32, bfloat16 (float32)")
     add("--size", type=wholes(1), metavar="PX,PX", help="sides of built-in tasks' images (112)")
     add("--spp", type=wholes(1), metavar="N,M", help="samples per pixel, for tasks of Mitsuba")
     add("--loss", default="mse", metavar="NAME", help="see: fide list losses (mse)")
