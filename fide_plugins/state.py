@@ -11,7 +11,6 @@ import torch
 
 from fide_plugins.comparison.kept import Kept
 from fide_plugins.comparison.scale_space import NEXT, ScaleSpace
-from fide_plugins.evaluation import Images
 from fide_plugins.population import Candidate, CandidateRole, Population
 from fide_plugins.population.candidate import Best, TrainingSample, columns, in_order
 from fide_plugins.proposers import Proposer
@@ -141,7 +140,7 @@ class State:
         self,
         x: Float64,
         loss: float,
-        image: Images | None,
+        image: Float32 | None,
         tokens: torch.Tensor | None,
         told: float,
     ) -> None:
@@ -167,22 +166,19 @@ class State:
             if other and (self.injected is None or told < self.injected[1]):
                 self.injected = (x, told)
             if self.best is None or (loss, number) < (self.best.solution.loss, self.best.index):
-                shown = None if image is None else _copied(image)
+                shown = None if image is None else image.copy()
                 solution = Solution(x.copy(), loss, self.evaluations, shown)
                 searched = candidate is not None and self.stage is Stage.SEARCH
                 self._improve(solution, number, searched=searched and not self._is_start(exact))
         self.not_finite += not finite
         self.evaluations += 1
 
-    def _note_image(self, number: int, x: Float64, image: Images) -> None:
+    def _note_image(self, number: int, x: Float64, image: Float32) -> None:
         """Note what the image of candidate `number`, x (d,), says of blurs and of noise."""
         if self.scales.useful is None:
-            if isinstance(image, torch.Tensor):  # images that stay on their device
-                self.scales.give_up()
-            else:
-                self.scales.note(number, x, image.copy())
+            self.scales.note(number, x, image.copy())
         if self.stage is Stage.EXCHANGE and np.array_equal(x, self.moves.known.current.x):
-            self.grain.note(_copied(image))
+            self.grain.note(image.copy())
 
     def _is_start(self, x: Float64) -> bool:
         """Whether the search began at x (d,): then x was given, or found before, not by it."""
@@ -482,10 +478,3 @@ class State:
         self.search_best = None if state["search_best"] is None else sample(state["search_best"])
         self.clipping = Clipping.from_state(state["clipping"])
         self.times = dict(state["times"])
-
-
-def _copied(image: Images) -> Float32:
-    """Copy (H, W, 3) for NumPy of an image; the best one does leave its GPU."""
-    if isinstance(image, torch.Tensor):
-        image = image.cpu().numpy()
-    return image.copy()

@@ -50,6 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="processes that render, for tasks of Mitsuba (1)")  # fmt: skip
     add("--task-set", type=setting, action="append", default=[], metavar="KEY=VALUE",
         help="any option of the task, such as cells=12; may be repeated")  # fmt: skip
+    add("--suite", metavar="NAME", help="TASK is a problem of this suite, such as wall-0")
     add("--learned", metavar="MODEL", help="model of: fide learn")
     add_own_task(parser)
 
@@ -98,6 +99,6 @@ def _learned(args: argparse.Namespace) -> dict[str, Any]:
 
 def _task_options(args: argparse.Namespace) -> dict[str, Any]:
     """Options of the task from --task-set and from the flags that are options of tasks."""
-    flags = {name: getattr(args, name) for name in ("spp", "least_spp", "workers")}
+    flags = {name: getattr(args, name) for name in ("spp", "least_spp", "workers", "suite")}
     given = {k: v for k, v in flags.items() if v is not None} | options_of(args)
     return {**given, **dict(args.task_set)}

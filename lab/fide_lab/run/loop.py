@@ -23,11 +23,13 @@ import time
 from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, nullcontext, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from fide_lab.run.foreign import ERROR, Foreign
 from fide_lab.run.pixel_samples import Fidelity
 from fide_lab.run.task import Task, TaskInfo
 from fide_plugins import losses as losses_module
@@ -35,7 +37,6 @@ from fide_plugins.errors import FideError, PointsError, RenderError
 from fide_plugins.fitting.loop import Loop
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers import InThisProcess
-from fide_plugins.learning.hypotheses import Rounds
 from fide_plugins.losses.base import ImageLoss
 from fide_plugins.recording.directory import RunDirectory, note_unsaved
 from fide_plugins.recording.record import (
@@ -71,7 +72,6 @@ class Run:
     checkpoint_every: seconds between checkpoints, see `CheckpointTimer`.
     keep, metrics: what to record beside the loss, and the losses that this needs, by name.
     fidelity: numbers of samples per pixel that rise; None where they stay.
-    rounds: of learning before the search, for an optimizer that begins with a model; None: none.
     """
 
     def __init__(
@@ -87,16 +87,17 @@ class Run:
         keep: Keep,
         metrics: Mapping[str, ImageLoss],
         fidelity: Fidelity | None = None,
-        rounds: Rounds | None = None,
     ) -> None:
         self.task, self.target, self.optimizer, self.loss = task, target, optimizer, loss
         self.settings, self.record = settings, record
         self._directory, self._checkpoint_every = directory, checkpoint_every
         self._keep, self._metrics, self._fidelity = keep, metrics, fidelity
-        self._rounds = rounds
         self._info = TaskInfo.of(task)
         self._budget: int = settings["budget"]
         self._clipping = Clipping()
+        self._foreign: Foreign | None = None
+        if self._info.error is not None:
+            self._foreign = Foreign(self._info, target, settings["loss"], optimizer)
 
     @property
     def advice(self) -> str | None:
@@ -131,8 +132,6 @@ class Run:
                 piece=self._info.piece or PIECE, checkpoint_every=self._checkpoint_every,
             )  # fmt: skip
             try:
-                if self._rounds is not None:
-                    self._loop.learn(self._rounds, 1, on_progress)
                 self._loop.run()
                 self.save()
                 with interrupts.stoppable(), self._loop.not_counted():
@@ -175,6 +174,11 @@ class Run:
         """
         images, extra = outcome
         record, start = self.record, time.perf_counter()
+        if self._foreign is not None:
+            self._loop.whole = False
+            batch, losses = self._foreign.tell(self.optimizer, X, images, record)
+            self._loop.tick()
+            return self._enter(X, batch, losses)
         try:
             batch = as_batch(images, self.target.shape, n=len(X), on_clip=self._clipping)
             losses = self.loss.compute(batch)
@@ -191,6 +195,11 @@ class Run:
             more = self._loop.has_waiting
             self._fidelity.note(record, losses, extra, others, more=more)
             record.fidelity = self._fidelity.state_dict()
+        return self._enter(X, batch, losses)
+
+    def _enter(self, X: Float64, batch: Float32, losses: Float64) -> bool:
+        """Record what was told; whether it holds the best loss so far."""
+        record = self.record
         first, before = record.evaluations, record.image
         improved = record.add(X, batch, losses)
         start = time.perf_counter()
@@ -208,6 +217,8 @@ class Run:
         first: evaluations before this piece; before: best image before this piece; improved:
         indices of the candidates of the piece that improved the best loss.
         """
+        if self._foreign is not None:
+            self._foreign.note_errors(self.record)
         for name, metric in self._metrics.items():
             values = self.record.metrics.setdefault(name, array("d"))
             if improved:
@@ -295,9 +306,13 @@ class Run:
         r, reference = self.record, self._info.reference
         recommended = None if r.x_best is None else self._recommended()
         try:
-            return judge(
+            verdict = judge(
                 reference, self.target, self.loss, r.x_best, r.image, recommended, self._metrics
             )
+            if self._foreign is not None and r.x_best is not None:
+                verdict.metrics[ERROR] = self._foreign.error(r.x_best)
+                return replace(verdict, loss=r.best_loss)  # by another comparison than `judge`
+            return verdict
         except FideError:
             raise
         except Exception as error:

@@ -58,6 +58,9 @@ class TaskInfo:
     piece: most candidates to render before their results are told; None: the loop's own number.
     advice: function of the name of a loss that gives a sentence, for a user who would do better
         with other settings, or None.
+    error: function of a point (dim,), how wrong it is; it judges a run whose target the renderer
+        did not draw, see `run.foreign`.  light: "none", "exposure" or "shading", what of the light
+        differs in such a target.
     """
 
     name: str
@@ -69,6 +72,8 @@ class TaskInfo:
     search_space: Space | None = None
     piece: int | None = None
     advice: Callable[[str], str | None] | None = None
+    error: Callable[[Float64], float] | None = None
+    light: str = "none"
 
     @classmethod
     def of(cls, task: object) -> TaskInfo:

@@ -51,7 +51,7 @@ def plan(
     configurations = tuple(configurations)
     check_budgets(configurations)
     return SuitePlan(
-        tasks=tuple(suite.problem_of(scene, k) for k in range(targets) for scene in scenes),
+        tasks=tuple(suite.problems(scenes, targets)),
         configurations=configurations,
         losses=tuple(dict.fromkeys(suite.scenes[scene].loss for scene in scenes)),
         seeds=targets,
