@@ -14,8 +14,6 @@ import numpy as np
 from torch import Tensor
 
 from fide_plugins import encoders
-from fide_plugins.comparing import adapt_light
-from fide_plugins.comparison.kept import Kept
 from fide_plugins.comparison.scale_space import ScaleSpace
 from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.evaluation import Evaluation, Evaluator
@@ -30,8 +28,9 @@ from fide_plugins.runtime.threads import Lock, one_at_a_time, one_thread
 from fide_plugins.saving import Saved
 from fide_plugins.search.cma_es import default_popsize
 from fide_plugins.search.memory import Memory
+from fide_plugins.search.moves import Stage
 from fide_plugins.search.one_search import Search, Setting
-from fide_plugins.search.policy import MovePolicy, Stage
+from fide_plugins.search.policy import MovePolicy
 from fide_plugins.search.scene import APART
 from fide_plugins.space import Space
 from fide_plugins.space.constraints import constraints_not_stored
@@ -207,6 +206,11 @@ class FIDE(Saved):
             at_once=bool(o.coarse_to_fine or (o.photo and o.coarse_to_fine is None)),
         )
         moves.start = scales.patient(moves.start)
+        kept = None
+        if self.evaluator.comparison is not None:
+            from fide_plugins.comparison.kept import Kept
+
+            kept = Kept(self.dim)
         return State(
             rng=np.random.default_rng(self.seed),
             population=Population(),
@@ -218,7 +222,7 @@ class FIDE(Saved):
             memory=Memory(o.memory_mb),
             grain=Grain(self.views),
             scales=scales,
-            kept=Kept(self.dim) if self.evaluator.comparison is not None else None,
+            kept=kept,
         )
 
     @property
@@ -255,16 +259,14 @@ class FIDE(Saved):
     @one_at_a_time
     @one_thread
     def ask_ready(self) -> Float64:
-        """As `ask`, but for proposals that wait for training, which come with the next call."""
+        """As `ask`, but between two generations one step alone: the next one knows its result."""
         with timed(self.times, "search"):
             if len(step := self._make_steps(1)):
                 self._hand_out_steps(step)
                 return step
-            state, population = self.state, self.state.population
-            if not population.remaining:
+            if not self.state.population.remaining:
                 self.draw_generation()
-        waits = state.proposer is not None and not state.proposer.lazy
-        return self.ask(population.queued if waits and population.queued else population.remaining)
+        return self.ask(self.state.population.remaining)
 
     def _ask(self, n: int | None) -> Float64:
         """Candidates (n, dim) of this generation and of those that follow; None: what is left."""
@@ -304,8 +306,7 @@ class FIDE(Saved):
             population.draw(x, x)
         if state.steps is not None:
             state.steps.end()  # they come before a generation, not in it
-        proposer = state.proposer
-        if proposer is not None and not proposer.background and not proposer.lazy:
+        if state.proposer is not None and not state.proposer.lazy:
             self.make_proposals(population, state.rng)
         if first is not None and state.stage is Stage.SEARCH:  # in the place of its first samples
             x = state.search.clipped(first)[: population.remaining]
@@ -461,6 +462,8 @@ class FIDE(Saved):
             kept.note(points, batch, results.losses, self.evaluations, given=given)
         self.enter(points, results)
         if kept is not None:
+            from fide_plugins.comparing import adapt_light
+
             adapt_light(self)
         return results.losses
 
@@ -469,7 +472,7 @@ class FIDE(Saved):
     def enter(
         self, points: Float64, results: Evaluation, decision: Decision = (None, None)
     ) -> None:
-        """Enter results of points (n, dim); each generation that becomes complete is finished."""
+        """Enter results of points (n, dim), and finish generations, as `decision` says."""
         self.same_images.note(points, results.images, results.losses)
         with timed(self.times, "search"):
             self._enter_all(points, results, decision)
@@ -692,11 +695,6 @@ class FIDE(Saved):
     def times(self) -> dict[str, float]:
         """Seconds spent so far in "encode" (features and losses), "train" and "search"."""
         return self.state.times
-
-    @property
-    def training(self) -> bool:
-        """Whether the network learns in the background; saving and proposals would wait for it."""
-        return self.state.proposer is not None and self.state.proposer.busy
 
     @property
     def target(self) -> Any:

@@ -13,18 +13,6 @@ from typing import Any, TypeAlias
 from fide_plugins.errors import OptionError, UnknownNameError
 from fide_plugins.validation import options as rules
 
-__all__ = [
-    "PAPER_SCHEDULE",
-    "PRESETS",
-    "NetworkOptions",
-    "Options",
-    "ProposalOptions",
-    "check_known",
-    "flat",
-    "make_options",
-    "without_images",
-]
-
 Rule: TypeAlias = rules.Rule
 
 PAPER_SCHEDULE = (0.3, 0.2, 0.1)
@@ -92,8 +80,6 @@ class Options:
     guard_images: let images guide the search, by proposals, moves and `patience`, only as far
         as they agree with the losses, see `proposers.image_gate`; otherwise it is CMA-ES.
     guard_search: cut injected steps and limit the standard deviation, see `search.cma_es`.
-    background_training: train the network while the user renders, see `proposers.diffusion`; the
-        result is the same.
     coarse_to_fine: begin searches with blurred images, see `comparison.scale_space`; None: where
         the first candidates say that it helps, or with photo; True: from the first candidate on.
     memory_mb: MiB of tokens that are kept for `FIDE.retarget` and for `Solution.std`, see
@@ -118,7 +104,6 @@ class Options:
     groups: tuple[tuple[int, ...], ...] | None = _option(None, rules.groups)
     guard_images: bool = _option(True, rules.switch)
     guard_search: bool = _option(True, rules.switch)
-    background_training: bool = _option(True, rules.switch)
     coarse_to_fine: bool | None = _option(None, rules.switch)
     memory_mb: float = _option(8.0, rules.not_negative)
     photometric: str | None = _option(None, rules.one_of("exposure", "shading", "auto"))

@@ -17,8 +17,6 @@ from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.schema import IMPOSSIBLE, check, whole
 from fide_plugins.runtime.threads import Lock, one_at_a_time, one_thread
 
-__all__ = ["Saved", "as_arrays"]
-
 _MOST = 2**20  # parameters, and candidates of a generation
 
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from fide_plugins.comparison.kept import Kept
 from fide_plugins.comparison.scale_space import NEXT, ScaleSpace
 from fide_plugins.population import Candidate, CandidateRole, Population
 from fide_plugins.population.candidate import Best, TrainingSample, columns, in_order
@@ -32,17 +31,18 @@ from fide_plugins.runtime.schema import (
     whole,
 )
 from fide_plugins.search.memory import Memory
+from fide_plugins.search.moves import Stage, Start
 from fide_plugins.search.one_search import Search
-from fide_plugins.search.policy import MovePolicy, Stage, Start
+from fide_plugins.search.policy import MovePolicy
 from fide_plugins.types import Estimate, Float32, Float64, Posterior, Solution
 from fide_plugins.validation.pixels import Clipping
 from fide_plugins.views.grain import Grain
 
 if TYPE_CHECKING:
+    from fide_plugins.comparison.kept import Kept
     from fide_plugins.proposers.forward import GaussNewtonSteps
     from fide_plugins.search.recall import Recalled
 
-__all__ = ["State"]
 
 _GAIN = 0.1  # of the loss, below which an improvement does not count
 _MOST_INJECTED = 1000  # points never asked that are remembered until a generation is complete

@@ -14,18 +14,6 @@ if TYPE_CHECKING:
     from fide_plugins.space import Space
     from fide_plugins.status import Status
 
-__all__ = [
-    "OPEN",
-    "Estimate",
-    "Estimated",
-    "Float32",
-    "Float64",
-    "Indices",
-    "Mask",
-    "Optimizer",
-    "Posterior",
-    "Solution",
-]
 
 Float64: TypeAlias = npt.NDArray[np.float64]
 """Parameters, losses and everything of the search."""
@@ -170,10 +158,6 @@ class Optimizer(Protocol):
         """Seconds spent so far in "encode" (losses and features), "train", "search"."""
 
     @property
-    def training(self) -> bool:
-        """Whether it learns in the background, so that saving would wait."""
-
-    @property
     def best(self) -> Solution | None:
         """Best point told so far."""
 
@@ -185,7 +169,7 @@ class Optimizer(Protocol):
         """Candidates (n, dim) in [0, 1]; None: what is left of the generation."""
 
     def ask_ready(self) -> Float64:
-        """As `ask`, but only candidates that wait for no training; at least one."""
+        """As `ask`, but what is best told before more is asked: one step, or a generation."""
 
     def tell(self, X: object, images: object = None, losses: object = None) -> object:
         """Report results: points (n, dim) with their images, losses (n,), or both."""

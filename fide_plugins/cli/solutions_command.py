@@ -24,7 +24,6 @@ from fide_plugins.errors import DependencyError
 __all__ = ["add_arguments", "execute"]
 
 
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``fide solutions``."""
     add = parser.add_argument

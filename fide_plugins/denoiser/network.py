@@ -12,8 +12,6 @@ from torch import Tensor, nn
 
 from fide_plugins.errors import OptionError
 
-__all__ = ["Context", "ParameterTransformer", "full_precision"]
-
 Context: TypeAlias = list[tuple[Tensor, Tensor]]
 """Keys and values of the image tokens, one pair a block, each [B or 1, heads, T, width / heads]."""
 

@@ -15,8 +15,6 @@ from fide_plugins.denoiser import Denoise, Network
 from fide_plugins.options import PAPER_SCHEDULE
 from fide_plugins.validation.options import check_schedule
 
-__all__ = ["euler", "evenly", "whitened", "x_prediction"]
-
 CENTER = 0.5  # the start of every search; Algorithm 1 counts parameters from there (mu = 0)
 
 

@@ -14,18 +14,6 @@ from fide_plugins.denoiser import Denoise, Network
 from fide_plugins.denoiser.network import ParameterTransformer
 from fide_plugins.runtime.devices import BatchSize
 
-__all__ = [
-    "Backup",
-    "Objective",
-    "Preconditioner",
-    "WhitenedLoss",
-    "XLoss",
-    "adam_state",
-    "all_finite",
-    "fit",
-    "load_adam_state",
-]
-
 Preconditioner = Callable[[Network], Denoise]
 
 

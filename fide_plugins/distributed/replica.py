@@ -20,11 +20,9 @@ from fide_plugins.population import Candidate, CandidateRole, Population
 from fide_plugins.population.candidate import columns
 from fide_plugins.runtime.machine import timed
 from fide_plugins.saving import as_arrays
-from fide_plugins.search.policy import Stage
+from fide_plugins.search.moves import Stage
 from fide_plugins.types import Float64
 from fide_plugins.validation.points import as_points
-
-__all__ = ["Replica", "Role"]
 
 _ROUNDING = 1e-9  # of a parameter: what is lost on the way through a user's scale and a database
 

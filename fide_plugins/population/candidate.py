@@ -14,18 +14,6 @@ from fide_plugins.runtime.devices import stack
 from fide_plugins.runtime.schema import Schema, array, form, maybe, real, saved, values, whole
 from fide_plugins.types import Float64, Solution
 
-__all__ = [
-    "Best",
-    "Candidate",
-    "CandidateRole",
-    "TrainingSample",
-    "columns",
-    "form_of",
-    "in_order",
-    "pack",
-    "unpack",
-]
-
 
 class CandidateRole(IntEnum):
     """What a candidate counts for.

@@ -18,8 +18,6 @@ from fide_plugins.population.candidate import Candidate, CandidateRole, form_of,
 from fide_plugins.runtime.schema import Schema, array, check, row, whole
 from fide_plugins.types import Float64, Mask
 
-__all__ = ["Population", "mirrored_pair", "search_columns"]
-
 _LOST = 2  # generations' worth of spare candidates told, after which members count as lost
 _MOST_PENDING = 20_000  # candidates; or twice as many as were asked at once, if that is more
 _LATE = 3  # times as late as the latest result of late, from which on no result is expected

@@ -87,10 +87,10 @@ def _forward(options: Options, dim: int, popsize: int, encoder: PatchEncoder) ->
 
 def _diffusion(options: Options, dim: int, seed: int, encoder: PatchEncoder) -> Proposer:
     from fide_plugins.denoiser.sampling import evenly
-    from fide_plugins.proposers.diffusion import BackgroundProposer, DiffusionProposer
+    from fide_plugins.proposers.diffusion import DiffusionProposer
 
     o = options.network
-    network = DiffusionProposer(
+    return DiffusionProposer(
         dim,
         seed=seed,
         device=encoder.device,
@@ -99,5 +99,3 @@ def _diffusion(options: Options, dim: int, seed: int, encoder: PatchEncoder) -> 
         batch_size=o.batch_size,
         schedule=o.schedule if o.steps is None else evenly(o.steps),
     )
-    in_background = options.background_training
-    return BackgroundProposer(network, encoder.device) if in_background else network

@@ -12,23 +12,14 @@ from torch import Tensor
 from fide_plugins.runtime.schema import Sides
 from fide_plugins.types import Float64
 
-__all__ = ["Proposer"]
-
 
 class Proposer(ABC):
     """Learns parameters from images, and is asked for those of the target (lines 5 and 8).
 
-    background: whether it learns while the user renders, and should be asked late.
     lazy: whether each proposal is made when it is asked for, from all that was told by then.
     """
 
-    background = False
     lazy = False
-
-    @property
-    def busy(self) -> bool:
-        """Whether it learns right now."""
-        return False
 
     @property
     @abstractmethod

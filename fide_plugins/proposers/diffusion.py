@@ -28,7 +28,7 @@ from fide_plugins.denoiser.training import (
 from fide_plugins.errors import OptionError
 from fide_plugins.options import NetworkOptions
 from fide_plugins.proposers.base import Proposer
-from fide_plugins.runtime.devices import BatchSize, on_current_stream, resolve_device
+from fide_plugins.runtime.devices import BatchSize, resolve_device
 from fide_plugins.runtime.messages import warn_user
 from fide_plugins.runtime.schema import (
     Schema,
@@ -41,11 +41,9 @@ from fide_plugins.runtime.schema import (
     table,
     whole,
 )
-from fide_plugins.runtime.threads import Background, user_threads
+from fide_plugins.runtime.threads import user_threads
 from fide_plugins.types import Float64
 from fide_plugins.validation.options import check_schedule
-
-__all__ = ["BackgroundProposer", "DiffusionProposer"]
 
 _DEFAULTS = NetworkOptions()
 MOST_PROPOSALS = 4096  # that are denoised together
@@ -286,79 +284,3 @@ def _check(state: Mapping[str, Any], sides: Sides) -> None:
         schema |= {"image_tokens": side("T"), "channels": side("C")}
         schema |= {"weights": table(numbers), "adam": table(moments)}
     check(state, schema, dict(sides), "proposer")
-
-
-class BackgroundProposer(Proposer):
-    """A proposer that learns in the background, on the device and its stream that are in use.
-
-    `FIDE` hands out first what the search distribution drew; only proposals wait for training.  The
-    result is the same, bit for bit, as if each had waited for the other.  What training raises is
-    raised by whatever waits for it next: `propose`, the next `update`, which begins all the same,
-    or saving.
-    """
-
-    background = True
-
-    def __init__(self, proposer: Proposer, device: torch.device | str = "cpu") -> None:
-        self._proposer, self._device = proposer, torch.device(device)
-        self._training = Background()
-
-    @property
-    def ready(self) -> bool:
-        """Whether it can be asked."""
-        return self._proposer.ready
-
-    @property
-    def busy(self) -> bool:
-        """Whether it learns right now."""
-        return self._training.busy
-
-    def update(self, x: Float64, tokens: Tensor, losses: Float64, std: Float64) -> None:
-        """Begin to learn; see `Proposer`. The caller must not change the arrays any more."""
-        with user_threads:
-            threads, here = torch.get_num_threads(), on_current_stream(self._device)
-
-        def train() -> None:
-            torch.set_num_threads(threads)  # sums are the same in as many threads
-            with here():
-                self._proposer.update(x, tokens, losses, std)
-
-        self._training.start(train, "training of the denoiser")
-
-    def propose(
-        self,
-        z: Float64,
-        target: Tensor,
-        mean: Float64,
-        std: Float64,
-        rng: np.random.Generator,
-    ) -> Float64:
-        """Candidates, when all is learned; see `Proposer`."""
-        self._training.wait()
-        return self._proposer.propose(z, target, mean, std, rng)
-
-    def forget(self) -> None:
-        """Another search begins; raises nothing of training's."""
-        self._training.join()
-        self._proposer.forget()
-
-    def state_dict(self) -> dict[str, Any]:
-        """Everything that `update` changes, when it has."""
-        self._training.wait()
-        return self._proposer.state_dict()
-
-    def load_state_dict(
-        self, state: Mapping[str, Any], sides: Sides | None = None, device: Any = None
-    ) -> None:
-        """Put back what `state_dict` gave."""
-        self._training.wait()
-        self._proposer.load_state_dict(state, sides)
-
-    def __getstate__(self) -> dict[str, Any]:
-        """For copies, which have no thread."""
-        self._training.wait()
-        return {"_proposer": self._proposer, "_device": self._device}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self._proposer, self._device = state["_proposer"], state["_device"]
-        self._training = Background()

@@ -16,17 +16,6 @@ from torch import Tensor
 from fide_plugins.runtime.schema import Schema, Sides, Stateful, array, check, whole
 from fide_plugins.types import Float64, Indices, Mask
 
-__all__ = [
-    "MOST",
-    "NEGLIGIBLE",
-    "FeatureBuffer",
-    "Ridge",
-    "explained",
-    "for_jacobian",
-    "ridge",
-    "ridges",
-]
-
 MOST = 600  # candidates: each generation costs a regression on as many
 
 

@@ -31,8 +31,6 @@ from fide_plugins.runtime.schema import (
 )
 from fide_plugins.types import Float64, Indices
 
-__all__ = ["ForwardProposer", "GaussNewtonSteps", "Jacobian", "best_and_latest", "fit_jacobian"]
-
 _TINY = 1e-300
 _SMALLEST_STD = 1e-9  # of the widest parameter's
 _SMALLEST_GAP = 1e-4  # of a leverage to 1

@@ -12,8 +12,6 @@ from fide_plugins.options import Options
 from fide_plugins.runtime.schema import Schema, Stateful, real, whole
 from fide_plugins.types import Float64, Mask
 
-__all__ = ["ImageGate", "adapt_fraction"]
-
 _MEMORY = 400  # candidates after which a generation counts for 1/e
 _SURE = 3.0  # standard deviations
 _SHORT_MEMORY = 100  # candidates, of how much the last generations agree

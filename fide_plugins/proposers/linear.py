@@ -23,7 +23,6 @@ from fide_plugins.types import Float64, Indices
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
 
-__all__ = ["LinearProposer"]
 
 _SCHEMA: Schema = {
     "x": array("n", "d"),

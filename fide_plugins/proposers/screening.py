@@ -14,8 +14,6 @@ from scipy.sparse import csc_array
 from fide_plugins.proposers.feature_buffer import explained, ridges
 from fide_plugins.types import Float64
 
-__all__ = ["Local", "affordable", "local_regressions"]
-
 _FLOOR = 0.003  # weight of a token that shows nothing
 _MOST_WORK = 1e9  # multiplications: tens of milliseconds
 _CHANCE = 2.0  # times the share that chance explains

@@ -92,13 +92,17 @@ class Stateful:
         sides: of arrays, by their names in the schema, as far as they are known.
         device: of tensors in parts that have some.
         """
-        check(state, self.SCHEMA, dict(sides or {}), type(self).__name__.lower())
+        check(state, self.SCHEMA, {**(sides or {}), **self._sides()}, type(self).__name__.lower())
         for name in self.SCHEMA:
             part = getattr(self, self._attribute(name))
             if hasattr(part, "load_state_dict"):
                 part.load_state_dict(state[name], sides, device)
             else:
                 setattr(self, self._attribute(name), state[name])
+
+    def _sides(self) -> Sides:
+        """Sides that this object knows."""
+        return {}
 
     def _attribute(self, name: str) -> str:
         return f"_{name}" if hasattr(self, f"_{name}") else name

@@ -15,8 +15,6 @@ import numpy as np
 from fide_plugins.runtime.schema import Schema, Sides, Stateful, anything, array, real, whole
 from fide_plugins.types import Float64, Mask
 
-__all__ = ["CMAES", "TwoPoint", "are_many", "default_popsize"]
-
 _MEMORY = 0.3  # weight of the newest comparison
 
 

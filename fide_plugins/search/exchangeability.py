@@ -31,8 +31,6 @@ from fide_plugins.search import mixed
 from fide_plugins.search.scene import Axes
 from fide_plugins.types import Float64, Indices, Mask
 
-__all__ = ["Exchangeability", "check_groups"]
-
 _MOST = 24  # layouts tested in a round
 _LONGEST = 12  # blocks that are tested at the ends
 _REPEATS = 2  # renders of the local optimum itself

@@ -19,8 +19,6 @@ from fide_plugins.search.moves import Known, Move, Stage, Start
 from fide_plugins.search.scene import Axes
 from fide_plugins.types import Float64, Indices, Posterior
 
-__all__ = ["Hypotheses", "Resample", "probabilities"]
-
 _TYPICAL = 0.01  # of the median loss above the best: a difference of it divides a likelihood by e
 _EXCLUDED = 0.01  # relative likelihood below which an answer takes no hypotheses
 _MODE_NEAREST = 0.1  # of all hypotheses, whose spread says how far "near" is on each axis

@@ -14,8 +14,6 @@ from torch import Tensor, as_tensor, device
 from fide_plugins.population.candidate import TrainingSample, columns
 from fide_plugins.runtime.schema import Schema, Sides, array, check, maybe, whole
 
-__all__ = ["Memory"]
-
 _MEGABYTE = 2**20
 _LEAST = 4096  # bytes of a sample; its objects take about as much, however few numbers they hold
 _PACKED: Schema = {

@@ -16,18 +16,6 @@ from fide_plugins.runtime.schema import Schema, Stateful, array
 from fide_plugins.search.cma_es import CMAES
 from fide_plugins.types import Float64, Mask
 
-__all__ = [
-    "AxisLayout",
-    "Mixed",
-    "closest",
-    "correct_choice",
-    "correct_steps",
-    "distance",
-    "inside",
-    "into",
-    "periodic_axes",
-]
-
 
 def into(z: Float64, periodic: Mask | None = None) -> Float64:
     """Points of the unit cube that candidates `z` (..., d) stand for.

@@ -21,22 +21,6 @@ from fide_plugins.search.exchangeability import Exchangeability
 from fide_plugins.search.scene import APART, Axes, Optima, Removal, Sensitivity, Values
 from fide_plugins.types import Float64, Indices, Mask
 
-__all__ = [
-    "ChangeValue",
-    "Coarsen",
-    "HalfTurn",
-    "Known",
-    "Move",
-    "RandomRestart",
-    "Refine",
-    "RelocateGroup",
-    "RelocateSegment",
-    "Split",
-    "Stage",
-    "Start",
-    "segment",
-]
-
 WIDE, NARROW = 1 / 2, 1 / 8  # of sigma0: in the parameters that were moved, in all others
 
 

@@ -7,9 +7,8 @@ unit cube that is rendered.  The maps between them are those of `mixed`.
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -24,14 +23,6 @@ from fide_plugins.types import Float64
 if TYPE_CHECKING:
     from fide_plugins.search.validity import Validity
 
-__all__ = [
-    "Search",
-    "Setting",
-    "Termination",
-    "default_patience",
-    "has_stalled",
-    "is_hopeless",
-]
 
 _COLLAPSED = 6e-3  # of sigma0: a thousandth of the box for sigma0 = 1/6
 _TO_THE_END = 1e-7  # of sigma0: pixels are single precision, and say nothing of smaller steps
@@ -293,9 +284,5 @@ class Search(Stateful):
         """Whether to begin another search; guided: whether images guide it."""
         return self.termination.is_over(self.distribution.std, guided=guided)
 
-    def load_state_dict(
-        self, state: Mapping[str, Any], sides: Sides | None = None, device: Any = None
-    ) -> None:
-        """Go on where `state_dict` was called; ValueError for what it cannot have given."""
-        sides = {"popsize": self.popsize, "d": len(self.mean), "axes": len(self._mixed.A)}
-        super().load_state_dict(state, sides)
+    def _sides(self) -> Sides:
+        return {"popsize": self.popsize, "d": len(self.mean), "axes": len(self._mixed.A)}

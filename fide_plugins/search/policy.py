@@ -50,8 +50,6 @@ from fide_plugins.search.moves import (
 from fide_plugins.search.scene import Axes, Optima, Removal, Sensitivity, Values, changed
 from fide_plugins.types import Float64, Posterior
 
-__all__ = ["Choice", "MovePolicy", "Stage", "Start"]
-
 _KEEP = 0.85  # of what is known, at each outcome of the same move
 _PRIOR_TRIES = 2.0  # that the prior gain is worth
 _FLOOR = 0.3  # of all draws are even
@@ -82,6 +80,7 @@ class Choice(Stateful):
     def note(self, name: str, gain: float, evaluations: int) -> None:
         """Note the outcome of a move."""
         i = self.names.index(name)
+        self._gain, self._cost = self._gain.copy(), self._cost.copy()  # those of a state stay
         self._gain[i] = max(_VAIN, _KEEP * self._gain[i] + min(max(gain, 0.0), 1.0))
         self._cost[i] = _KEEP * self._cost[i] + evaluations
 
@@ -97,12 +96,8 @@ class Choice(Stateful):
         """Draw one of those moves."""
         return possible[int(rng.choice(len(possible), p=self.probabilities(possible)))]
 
-    def load_state_dict(
-        self, state: Mapping[str, Any], sides: Sides | None = None, device: device | None = None
-    ) -> None:
-        """Put back what `state_dict` gave; ValueError for what it cannot have given."""
-        super().load_state_dict(state, {"moves": len(self.names)})
-        self._gain, self._cost = self._gain.copy(), self._cost.copy()
+    def _sides(self) -> Sides:
+        return {"moves": len(self.names)}
 
 
 _PLAIN: dict[str, Schema] = {

@@ -17,8 +17,6 @@ from fide_plugins.search.moves import Known, Start
 from fide_plugins.search.scene import APART
 from fide_plugins.types import Float64
 
-__all__ = ["Recalled", "recall"]
-
 _FEWEST = 8  # candidates that say how far parameters move
 _PATIENCE = 3  # times that of other searches
 _SMALLEST, _LARGEST = 0.01, 1.0  # standard deviation at the start, in units of sigma0

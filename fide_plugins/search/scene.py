@@ -28,18 +28,6 @@ from fide_plugins.search import mixed
 from fide_plugins.search.mixed import AxisLayout, periodic_axes
 from fide_plugins.types import Float64, Indices
 
-__all__ = [
-    "APART",
-    "Axes",
-    "Optima",
-    "Optimum",
-    "Removal",
-    "Sensitivity",
-    "Values",
-    "find_parts",
-    "overlaps",
-]
-
 
 class Axes:
     """Which axes of the cube are one parameter, and which wrap around.
@@ -152,11 +140,8 @@ class Values(Stateful):
         """Note that a search begins at the values of x (d,)."""
         self._searched = np.vstack([self._searched, x[self.discrete]])[-_REMEMBERED:]
 
-    def load_state_dict(
-        self, state: Mapping[str, Any], sides: Sides | None = None, device: Any = None
-    ) -> None:
-        """Put back what `state_dict` gave; ValueError for what it cannot have given."""
-        super().load_state_dict(state, {"discrete": int(self.discrete.sum())})
+    def _sides(self) -> Sides:
+        return {"discrete": int(self.discrete.sum())}
 
 
 # -- blocks and groups of parameters ---------------------------------------------------------------
@@ -343,11 +328,8 @@ class Sensitivity(Stateful):
         parts = find_parts(self._overlap / np.maximum(self._pairs, 1.0))
         return [np.concatenate([self._axes.axes_of[i] for i in part]) for part in parts]
 
-    def load_state_dict(
-        self, state: Mapping[str, Any], sides: Sides | None = None, device: Any = None
-    ) -> None:
-        """Put back what `state_dict` gave; ValueError for what it cannot have given."""
-        super().load_state_dict(state, {"p": len(self._axes.axes_of)})
+    def _sides(self) -> Sides:
+        return {"p": len(self._axes.axes_of)}
 
 
 # -- local optima ----------------------------------------------------------------------------------

@@ -13,8 +13,6 @@ from fide_plugins.space import Space
 from fide_plugins.space.constraints import constraints_not_stored, constraints_of
 from fide_plugins.types import Float64, Indices, Mask
 
-__all__ = ["Validity", "validity_of"]
-
 _ROUNDS = 200  # in which invalid samples are drawn again
 _REDRAWN = 20  # in which restart candidates are drawn
 _HALVINGS = 24  # of the way from a valid point to an invalid one

@@ -9,14 +9,10 @@ import numpy as np
 import pytest
 import torch
 
-from fide_plugins import Choice, Float, Solution, Space, fit
 from fide_plugins.fide import FIDE
 from fide_plugins.types import Float64
-from fide_plugins.uncertainty import estimate
-from fide_plugins.uncertainty.estimate import looks_alike
 
 _GRID = (np.arange(16) + 0.5) / 16
-BLOCKS = [[0, 1], [2, 3]]
 
 
 def disks(x: Float64) -> Float64:
@@ -25,9 +21,6 @@ def disks(x: Float64) -> Float64:
     each = [np.hypot(_GRID[None] - a, _GRID[:, None] - b) for a, b in pairs]
     image: Float64 = sum(0.5 / (1 + np.exp((distance - 0.2) * 15)) for distance in each)
     return image
-
-
-SPACE = Space(x=Float(0, 1), gray=Choice(1.0, 0.7, 0.4))
 
 
 def disk(params: dict[str, Any]) -> Float64:
@@ -73,29 +66,3 @@ def test_candidates_are_the_same_where_double_precision_is_the_default(
         return opt.ask()
 
     np.testing.assert_array_equal(double(second_generation), second_generation())
-
-
-def test_standard_deviations_are_the_same_where_floating_point_errors_raise(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Also where differences underflow, which depends on the processor."""
-
-    def underflowing(*args: Any) -> bool:
-        assert np.float64(1e-300) * np.float64(1e-300) == 0.0
-        return looks_alike(*args)
-
-    def fitted() -> Solution:
-        result = fit(
-            disk, disk({"x": 0.7, "gray": 0.7}), SPACE, 200, until="budget", workers=0, seed=0
-        )
-        assert result.best is not None
-        return result.best
-
-    expected = fitted()
-    monkeypatch.setattr(estimate, "looks_alike", underflowing)
-    with np.errstate(all="raise"):
-        best = fitted()
-        std = best.std
-    assert std is not None and expected.std is not None
-    np.testing.assert_array_equal(std, expected.std)
-    assert best.undetermined == expected.undetermined

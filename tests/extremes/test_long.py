@@ -12,7 +12,6 @@ from fide_plugins.fide import FIDE
 from fide_plugins.types import Float64
 
 SLOW = pytest.mark.slow
-GENERATIONS = [1_000, pytest.param(100_000, marks=SLOW)]
 TELLS = [5_000, pytest.param(1_000_000, marks=[SLOW, pytest.mark.timeout(3000)])]
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from fide_plugins import FIDE, Choice, Float, Group, Int, Space
 from fide_plugins.errors import OptionError, ProtocolError
-from fide_plugins.search.policy import Stage
+from fide_plugins.search.moves import Stage
 from fide_plugins.types import Float64
 
 TARGET = np.zeros((16, 16))

@@ -133,10 +133,3 @@ def test_best_is_never_worse(seed: int, preset: str, kind: str, renders: int, ne
         opt.tell(X, losses=losses(X))
     assert opt.best is not None
     assert opt.best.loss <= losses(placed(space, x)[None])[0]
-
-
-def peak(p: dict[str, Any]) -> Float64:
-    """A spot of one pixel: from farther away no image says where it is."""
-    v, u = np.mgrid[0:32, 0:32] / 31
-    image: Float64 = np.exp(-((u - p["x"]) ** 2 + (v - p["y"]) ** 2) / 4e-4)
-    return image

@@ -10,7 +10,7 @@ import pytest
 from fide_plugins.fide import FIDE
 from fide_plugins.types import Float32
 
-from .helpers import Render, run, sphere
+from .helpers import TINY_PAPER, Render, run, sphere
 
 
 def test_losses_that_are_not_finite_rank_last_and_are_counted(
@@ -69,3 +69,28 @@ def test_without_images_it_is_cma_es(target: Float32, render: Render) -> None:
         plain.tell(X, render(X), sphere(X))
     assert told.best is not None and told.best.image is None
     assert told.best.loss < 1e-4
+
+
+@pytest.mark.parametrize("error", [MemoryError("too large"), KeyboardInterrupt()])
+def test_a_generation_whose_training_raises_is_not_lost(
+    error: BaseException, target: Float32, render: Render
+) -> None:
+    """The search learns from it, and everything told with it is noted, before that is raised."""
+    opt, other = (FIDE(6, target, seed=1, **TINY_PAPER) for _ in range(2))
+    rest = np.random.default_rng(0).random((3, 6))  # which were never asked
+
+    def fail(*arguments: object) -> None:
+        raise error
+
+    X = opt.ask()
+    every = np.concatenate([other.ask(), rest])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(opt.state.proposer, "update", fail)
+        with pytest.raises(type(error)):
+            opt.tell(every, render(every))
+    other.tell(every, render(every))
+    assert opt.evaluations == other.evaluations == len(every)
+    assert opt.state.population.generations == 1
+    np.testing.assert_array_equal(opt.state.search.mean, other.state.search.mean)
+    X = opt.ask()  # and it goes on
+    opt.tell(X, render(X))

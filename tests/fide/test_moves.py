@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fide_plugins.fide import FIDE
-from fide_plugins.search.policy import Stage
+from fide_plugins.search.moves import Stage
 from fide_plugins.types import Float32
 
 from .helpers import Render, StateOf

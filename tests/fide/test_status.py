@@ -149,10 +149,3 @@ def picture(column: int = 10) -> Float32:
     image[0, :256], image[0, 256:] = 0, 255
     image[10:13, column : column + 3] -= 25
     return image / np.float32(255)
-
-
-def code_of(image: Float32, **options: object) -> str:
-    """Of a run that was told this image once."""
-    opt = FIDE(2, picture(), seed=0, encoder="patch", **options)  # type: ignore[arg-type]
-    opt.tell(opt.ask(1), image[None])
-    return opt.status.code

@@ -9,7 +9,7 @@ import pytest
 
 import fide_tasks
 from fide_plugins.fide import FIDE
-from fide_plugins.search.policy import Stage
+from fide_plugins.search.moves import Stage
 from fide_plugins.types import Float32, Float64
 
 from .helpers import TINY, Render, pending_now, sphere

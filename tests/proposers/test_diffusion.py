@@ -31,10 +31,6 @@ def scene(n: int, seed: int = 0) -> tuple[Floats, Tensor]:
     return x, images_of(x)
 
 
-def in_bfloat16() -> torch.autocast:
-    return torch.autocast("cpu", torch.bfloat16)
-
-
 def images_of(x: Floats) -> Tensor:
     shown = torch.as_tensor((x - 0.5) / STD, dtype=torch.float32) @ MIXING.T  # (n, 3)
     return shown[:, :, None].tanh()  # (n, 3, 1)

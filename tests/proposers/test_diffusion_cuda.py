@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from fide_plugins.fide import FIDE
-from fide_plugins.proposers.diffusion import BackgroundProposer, DiffusionProposer
+from fide_plugins.proposers.diffusion import DiffusionProposer
 from fide_plugins.types import Float64
 
 pytestmark = pytest.mark.gpu
@@ -32,7 +32,7 @@ def scene(device: str) -> tuple[Float64, torch.Tensor]:
     return x, torch.as_tensor(x[:, :, None], dtype=torch.float32, device=device)
 
 
-def propose(proposer: DiffusionProposer | BackgroundProposer, device: str) -> Float64:
+def propose(proposer: DiffusionProposer, device: str) -> Float64:
     x, tokens = scene(device)
     rng = np.random.default_rng(0)
     return proposer.propose(x, tokens[0], np.full(DIM, 0.5), STD, rng)
@@ -81,19 +81,6 @@ def test_it_learns_there() -> None:
         last = proposer.update(x, tokens, None, STD)[-1]
     assert float(last) < 0.5 * float(first)
     assert not (propose(proposer, "cuda") == x).any()  # samples that the network gave no number for
-
-
-@pytest.mark.parametrize("stream", [False, True])
-def test_in_the_background_as_without(stream: bool) -> None:
-    """Also for a caller who computes on a stream of his own."""
-    plain = propose(learned("cuda"), "cuda")
-    own: Any = torch.cuda.Stream  # which torch gives no types
-    with torch.cuda.stream(own() if stream else None):
-        x, tokens = scene("cuda")
-        beside = BackgroundProposer(make("cuda"), torch.device("cuda", torch.cuda.current_device()))
-        for _ in range(2):
-            beside.update(x, tokens, np.zeros(40), STD)
-        np.testing.assert_allclose(propose(beside, "cuda"), plain, atol=1e-3)
 
 
 def test_goes_on_where_it_was_saved() -> None:

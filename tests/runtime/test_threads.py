@@ -211,9 +211,8 @@ def test_an_encoder_that_is_registered_computes_in_as_many_as_set(
 
 
 @pytest.mark.usefixtures("two")
-@pytest.mark.parametrize("overlap", [False, True])
 def test_the_network_computes_in_as_many_as_set(
-    overlap: bool, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     from fide_plugins.denoiser.training import fit
 
@@ -224,7 +223,7 @@ def test_the_network_computes_in_as_many_as_set(
         return fit(*arguments, **options)
 
     monkeypatch.setattr("fide_plugins.proposers.diffusion.fit", counted)
-    options: dict[str, Any] = {"popsize": 4, "epochs": 1, "background_training": overlap}
+    options: dict[str, Any] = {"popsize": 4, "epochs": 1}
     opt = FIDE(DIM, TARGET, preset="paper", seed=0, **options)
     for _ in range(2):
         X = opt.ask()

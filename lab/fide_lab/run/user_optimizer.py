@@ -28,8 +28,8 @@ class AskTell(Protocol):
 class UserOptimizer:
     """A user's optimizer with defaults for all of `types.Optimizer` that it does not have.
 
-    Only `ask` and `tell` are required.  Defaults of the rest: `ask_ready` asks, `training` is
-    False, `recommend` gives the best point told (before the first finite loss, the center),
+    Only `ask` and `tell` are required.  Defaults of the rest: `ask_ready` asks, `recommend` gives
+    the best point told (before the first finite loss, the center),
     `times` is empty, `popsize` is 1, `name` is that of the class; `save` raises OptionError.
     `evaluations` and `best` are counted here.
 
@@ -57,11 +57,6 @@ class UserOptimizer:
         return times
 
     @property
-    def training(self) -> bool:
-        """Whether it learns in the background."""
-        return bool(self._own("training", False))
-
-    @property
     def status(self) -> Status | None:
         """What is known of the run, as far as it says: a `Status`, or anything else as a text."""
         status = self._own("status")
@@ -72,7 +67,7 @@ class UserOptimizer:
         return self._optimizer.ask() if n is None else self._optimizer.ask(n)  # type: ignore[call-arg]
 
     def ask_ready(self) -> Any:
-        """As `ask`, but only candidates that wait for no training."""
+        """As `ask`, unless the optimizer has one of its own."""
         return self._own("ask_ready", self._optimizer.ask)()
 
     def tell(self, X: object, images: object = None, losses: object = None) -> None:

@@ -93,7 +93,7 @@ def test_ask_and_tell_are_enough() -> None:
 def test_defaults() -> None:
     opt = complete(Least(2, TARGET, seed=0), 2)
     assert isinstance(opt, UserOptimizer)
-    assert (opt.popsize, opt.training, opt.times, opt.best) == (1, False, {}, None)
+    assert (opt.popsize, opt.times, opt.best) == (1, {}, None)
     np.testing.assert_array_equal(opt.recommend(), [0.5, 0.5])
     X = opt.ask_ready()
     losses = np.arange(len(X), 0.0, -1.0)

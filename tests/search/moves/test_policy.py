@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from fide_plugins.population.candidate import TrainingSample
-from fide_plugins.search.policy import MovePolicy, Stage
+from fide_plugins.search.moves import Stage
+from fide_plugins.search.policy import MovePolicy
 from fide_plugins.search.scene import Optima
 from fide_plugins.types import Float64
 

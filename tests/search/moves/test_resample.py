@@ -8,8 +8,8 @@ import torch
 
 from fide_plugins.search.exchangeability import Exchangeability
 from fide_plugins.search.hypotheses import Hypotheses, Resample
-from fide_plugins.search.moves import Known
-from fide_plugins.search.policy import MovePolicy, Stage
+from fide_plugins.search.moves import Known, Stage
+from fide_plugins.search.policy import MovePolicy
 from fide_plugins.search.scene import Axes, Removal, Sensitivity
 from fide_plugins.types import Float64, Posterior
 
