@@ -41,7 +41,7 @@ def taught(n: int = 12, **options: float) -> GaussNewtonSteps:
 def take(steps: GaussNewtonSteps, m: int = 1) -> Float64:
     rng = np.random.default_rng(7)
     z = rng.normal(MEAN, STD, (m, D))
-    x = steps.propose(z, TARGET, MEAN, STD, rng)
+    x = steps.forward.propose(z, TARGET, MEAN, STD, rng)
     steps.taken(m)
     return x
 
