@@ -17,7 +17,7 @@ _SURE = 3.0  # standard deviations
 _SHORT_MEMORY = 100  # candidates, of how much the last generations agree
 _ENOUGH = 20  # generations, before images may end a search
 _SMALLEST, _LARGEST = 0.05, 0.8  # proposed fraction; from 0 it could not recover
-_LITTLE, _MUCH = 0.2, 0.4  # mean rho; measured, see `lab/reports/extremes.md`
+_LITTLE, _MUCH = 0.2, 0.4  # mean rho; measured
 
 
 class ImageGate(Stateful):
