@@ -95,11 +95,9 @@ def random_model() -> Callable[..., Model]:
         known = Familiarity(np.zeros(256), np.eye(256), 1.0)
         report = Report(
             renders=0, failed=0, held_out=1, seconds=0.0, nll=0.0, within=(0.0, 0.0), coverage=0.0,
-            ranks=(0.9,) * 3, unseen=(), curve=(), augment="none", scale=1.0, fitted=0,
-            parameters=3, emulated=None,
+            unseen=(), curve=(), augment="none", scale=1.0, fitted=0, emulated=None,
         )  # fmt: skip
-        axes = (False,) * 3
-        return Model(network, None, size, "random", None, "autoregressive", axes, (), known, report)
+        return Model(network, None, size, "random", None, known, report)
 
     return make
 
