@@ -24,7 +24,7 @@ from fide_plugins.fitting.failures import (
     suspicion_of,
 )
 from fide_plugins.fitting.loop import Loop
-from fide_plugins.fitting.pictures import as_told, canonical, shown
+from fide_plugins.fitting.pictures import as_compared, as_told, best_compared, canonical, shown
 from fide_plugins.fitting.rendering import Failed, Outcome, Renderer
 from fide_plugins.fitting.result import Result, histories
 from fide_plugins.fitting.saved_run import SavedRun, Unsaved
@@ -85,9 +85,8 @@ class Fitting:
         self._failures = Failures(self.record.failures, max_failures)
         self._comparisons = optimizer.state.comparisons
         self._extremes = Extremes(optimizer.views)
-        for known in (self.record.first_image, self.record.image):
-            if known is not None:
-                self._extremes.note(known)
+        if self.record.image is not None:
+            self._extremes.note(self.record.image)
         self._done_before = self.record.evaluations
         self._render_seconds = 0.0  # of renders of this call's search that gave an image
         self._shown_at = 0.0
@@ -166,6 +165,8 @@ class Fitting:
         if better or r.first_image is None or self._extremes.wanted or self._callbacks:
             image = canonical(self.optimizer, outcome.image)
             self._extremes.note(image)
+        if r.first_image is None:
+            r.first_image = as_compared(self.optimizer, outcome.image)
         improved = r.add_one(X[0], image, loss)
         best, changes = self.optimizer.state.best, self.optimizer.state.comparisons
         if best is not None and changes != self._comparisons:
@@ -331,6 +332,8 @@ class Fitting:
         self._note_pending()
         searched = max(loop.search_ended - loop.search_began, 1e-9)
         record = self.record if loop.whole else None
+        adapts = optimizer.evaluator.comparison is not None
+        compared = best_compared(optimizer) if adapts else None
         return Result(
             best=best,
             params=None if best is None else self._renderer.params(best.x),
@@ -348,6 +351,7 @@ class Fitting:
             clipped=optimizer.clipped,
             value_range=optimizer.value_range,
             std_renders=self._std_renders,
+            compared=None if compared is None else shown(optimizer, compared),
             unsaved=Unsaved(optimizer, record, self._plan, stopped, solutions),
             **histories(self.record, optimizer.dim),
         )
