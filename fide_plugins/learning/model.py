@@ -196,19 +196,13 @@ class Model:
     def _input(self, picture: object) -> Tensor:
         """Return the picture as the network takes it; ImageError for another aspect."""
         image = as_target(picture)
-        self.check_aspect(*image.shape[:2])
-        return as_input(pixels_of(image, self.size)[None])
-
-    def check_aspect(self, height: int, width: int) -> None:
-        """Raise ImageError unless a picture has the aspect of the renders.
-
-        height, width: size of the picture in pixels.
-        """
+        height, width, _ = image.shape
         if not same_aspect((height, width), self.shape):
             raise ImageError(
                 f"the model has learned images of {self.shape[1]} x {self.shape[0]} pixels "
                 f"(width x height), and this picture is {width} x {height}: crop it to that aspect"
             )
+        return as_input(pixels_of(image, self.size)[None])
 
     def check_space(self, space: Space | int) -> None:
         """Raise OptionError, naming the difference, unless the model has learned this space.

@@ -95,7 +95,6 @@ class Encoder(nn.Module):
             places = self._map(torch.zeros(1, 3, *size, dtype=torch.float32))
             inputs = self.top(places).numel()
         self.grid = (int(places.shape[2]), int(places.shape[3]))
-        self.places = self.grid[0] * self.grid[1]
         self.project = linear(inputs, width)
         self.normalize = nn.LayerNorm(width, dtype=torch.float32)
         for layer in self.modules():
