@@ -56,14 +56,12 @@ from fide_plugins.validation.pixels import (
     describe,
     extremes,
     from_tensor,
-    has_scale,
     is_path,
     is_pil,
     is_torch_tensor,
     is_unit,
-    refuse_type,
-    scale_remedy,
     shares,
+    typed,
     unit_range,
     unmasked,
     warn_clipped,
@@ -94,7 +92,7 @@ def as_target(
     behind: float = 1.0,
     values: ValueRange | None = None,
 ) -> Float32:
-    """Canonical copy of one image.
+    """Canonical copy of one image: float32 (H, W, 3) in [0, 1], C-contiguous.
 
     Parameters
     ----------
@@ -111,10 +109,6 @@ def as_target(
     values
         those that become 0 and 1; None: 0 and 1.
 
-    Returns
-    -------
-    float32 (H, W, 3) in [0, 1], C-contiguous, sharing no memory with `target`.
-
     Raises
     ------
     ImageError
@@ -128,28 +122,17 @@ def as_pixels(image: object, what: str, raw: bool = False) -> Pixels:
     """Array (H, W) or (H, W, C) of one image, with the values that it has; perhaps the image.
 
     what: its name in errors.  raw: whether any numbers will do, those of a file as it has them.
-
     Raises ImageError for types and axes that no image has, `ImageNotFoundError`.
     """
     array, is_tensor = _to_array(image, what, raw)
     check_axes(array, what)
-    if array.ndim == 2:
-        return array
-    pixels: Pixels = channels_last(array, 0, is_tensor, None, what)
-    return pixels
+    return array if array.ndim == 2 else channels_last(array, 0, is_tensor, None, what)
 
 
 def alpha_of(image: object, what: str = "the target") -> Float32:
-    """Alpha channel (H, W) float32 in [0, 1] of `image`, any input of `as_target`.
-
-    what: how an error calls it.
-
-    Raises ImageError if it has none.
-    """
-    array, is_tensor = _to_array(image, what)
-    if array.ndim == 3:
-        array = channels_last(array, 0, is_tensor, None, what)
-    if array.ndim != 3 or array.shape[-1] != 4:
+    """Alpha channel (H, W) float32 in [0, 1] of any input of `as_target`; ImageError without it."""
+    array = _pixels(image, None, what)
+    if array.shape[-1] != 4:
         raise ImageError(f"{what} must have an alpha channel, (H, W, 4), got {describe(array)}")
     alpha: Float32 = np.array(unit_range(shares(array[..., 3]), what, None), np.float32, order="C")
     return alpha
@@ -173,7 +156,7 @@ def as_batch(
     hidden: Mask | None = None,
     values: ValueRange | None = None,
 ) -> Float32:
-    """Canonical batch of images.
+    """Canonical batch of images: float32 (n, H, W, 3) in [0, 1], C-contiguous.
 
     A canonical batch is checked and returned without a copy: do not modify the result, and keep
     no reference to it.
@@ -189,14 +172,8 @@ def as_batch(
         required number of images; None: any number, also zero.
     on_clip
         called once, with a `pixels.Clip`, if finite values outside [0, 1] were clipped.
-    hidden
-        (H, W) of that shape, pixels that do not count; None: all do.
-    values
-        those that become 0 and 1; None: 0 and 1.
-
-    Returns
-    -------
-    float32 (n, H, W, 3) in [0, 1], C-contiguous.
+    hidden, values
+        as of `as_target`.
 
     Raises
     ------
@@ -227,11 +204,12 @@ def load(
 ) -> Float32:
     """Canonical image (H, W, 3) float32 in [0, 1], read from the file `path`.
 
-    max_side: the image is reduced by box averaging to at most so many pixels; None: not at all.
+    max_side: a longer image is reduced by box averaging to at most so many pixels; None: not at
+        all.
     mask: which pixels count in these averages: (H, W) in [0, 1] or any gray picture of the whole
         image's size.  What none of them shows becomes 0; transparent pixels never count.
 
-    An image whose longer side fits is not resized.  Raises `ImageNotFoundError` or `ImageError`,
+    Raises `ImageNotFoundError` or `ImageError`,
     OptionError for a `max_side` that is no whole number >= 1.
     """
     from fide_plugins.validation.image_files import read_pixels, shrunk
@@ -304,27 +282,19 @@ def _list_as_batch(
 
 def _check_one(image: object, what: str) -> None:
     """Raise ImageError for a list of images; one image may be a list of its rows, (W, C) each."""
-    listed = isinstance(image, list | tuple)
-    if not listed or not any(is_image(one) and not _is_row(one) for one in image):  # type: ignore[attr-defined]
+    if not isinstance(image, list | tuple):
         return
-    number = len(image)  # type: ignore[arg-type]
+    shapes: list[tuple[int, ...]] = [getattr(one, "shape", ()) for one in image if is_image(one)]
+    if all(len(shape) == 2 and shape[1] in CHANNELS for shape in shapes):  # rows
+        return
     remedy = "give one of them, or for several views a target for each"
-    if number == 1:
+    if len(image) == 1:
         remedy = "take it out of its list, image[0]"
-    raise ImageError(f"{what} must be one image, not a list of {number}; {remedy}")
-
-
-def _is_row(image: object) -> bool:
-    """Whether what is an image by itself may be a row (W, C) of another one."""
-    shape: tuple[int, ...] = getattr(image, "shape", ())
-    return len(shape) == 2 and shape[1] in CHANNELS
+    raise ImageError(f"{what} must be one image, not a list of {len(image)}; {remedy}")
 
 
 def _to_array(image: object, what: str, raw: bool = False) -> tuple[Pixels, bool]:
-    """Return the image as a numpy array, and whether it was a torch tensor.
-
-    raw: whether any numbers will do, those of a file as it has them.
-    """
+    """Return the image as a numpy array, and whether it was a torch tensor."""
     if is_path(image) or is_pil(image):
         from fide_plugins.validation.image_files import from_pil, read_pixels  # rarely needed
 
@@ -342,14 +312,8 @@ def _to_array(image: object, what: str, raw: bool = False) -> tuple[Pixels, bool
         array = np.asarray(image)
     except (TypeError, ValueError, RuntimeError) as e:
         raise ImageError(f"{what} is not an image: {e}") from e
-    if not array.ndim and not has_scale(array, raw):
-        remedy = "give an array, a path, a PIL image or a torch tensor"
-        raise refuse_type(what, type(image).__name__, remedy)
-    if not has_scale(array, raw):
-        name = "image" if isinstance(image, np.ndarray) else "np.asarray(image)"
-        remedy = scale_remedy(array, f"{name}.astype(bool)", f"{name}.astype(np.uint8)")
-        raise refuse_type(what, describe(array), remedy, whole=array.dtype.kind in "iu")
-    return array, False
+    got = describe(array) if array.ndim else type(image).__name__
+    return typed(array, what, got, raw), False
 
 
 def _canonical(

@@ -50,29 +50,10 @@ def as_tensor_batch(
     on_clip: OnClip = warn_clipped,
     values: ValueRange | None = None,
 ) -> Tensor:
-    """Return a canonical batch on the device of the images.
+    """Return a canonical batch on the device of the images, see `images.as_batch`.
 
-    Parameters
-    ----------
-    images
-        (n, H, W), (n, H, W, C) or (n, C, H, W), values as in `images`.
-    shape
-        required size (H, W), or shape (H, W, 3) of the target; None: any.
-    n
-        required number of images; None: any number, also zero.
-    on_clip
-        called once, with a `pixels.Clip`, if finite values outside [0, 1] were clipped.
-    values
-        those that become 0 and 1; None: 0 and 1.
-
-    Returns
-    -------
-    float32 (n, H, W, 3) in [0, 1], without gradients; perhaps the images themselves.
-
-    Raises
-    ------
-    ImageError
-        wrong number, shape, type or values (also a ValueError).
+    images: (n, H, W), (n, H, W, C) or (n, C, H, W); the result is float32 (n, H, W, 3) in [0, 1],
+    without gradients, perhaps the images themselves.  Other arguments and errors are the same.
     """
     size = None if shape is None else (int(shape[0]), int(shape[1]))
     what = "the batch of images"
@@ -115,16 +96,7 @@ def _scaled(pixels: Tensor, scale: ValueRange) -> Tensor:
     return torch.cat([colors, share.float()], dim=-1)
 
 
-# -- features that were encoded elsewhere ----------------------------------------------------------
-#
-# A remote worker can encode its image where it renders, and send the tokens instead of the picture:
-#
-#     encoder = encoders.make("dense")             # there
-#     tokens = encoder(images)                     # (n, T, C)
-#     opt.tell(X, losses=losses, features=tokens, version=encoder.version)  # here
-#
-# Two versions of an encoder, or two files of its weights, give features of the same shape.  If the
-# caller passes the version, it is compared; otherwise the caller is responsible for it.
+# -- features that were encoded by a remote worker -------------------------------------------------
 
 
 def as_features(
@@ -146,7 +118,8 @@ def as_features(
     encoder
         encoder of the optimizer.
     version
-        attribute `version` of the encoder that made the features; None: unknown.
+        attribute `version` of the encoder that made the features, which is compared: two versions
+        may give features of the same shape.  None: unknown.
     device
         device of the result; None: that of the encoder.
 
@@ -156,12 +129,22 @@ def as_features(
         another version, another shape, no real numbers, or values that are not finite (also a
         ValueError).
     """
-    _check_version(version, encoder)
+    if version is not None and version != encoder.version:
+        raise FeaturesError(
+            f"features must be by the optimizer's own encoder, of the version {encoder.version!r}, "
+            f"not {version!r}; encode the images again with that, or tell the images themselves"
+        )
     rule = (
         f"features must be what the encoder {encoder.name!r} gives for images of the target's "
         f"size, (n, T, C) = {shape}"
     )
-    array = _stacked(features, rule)
+    try:
+        several = isinstance(features, list | tuple)
+        array = np.stack(list(map(_as_array, features))) if several else _as_array(features)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise FeaturesError(f"{rule}: {error}") from error
+    if array.dtype.kind != "f":
+        raise FeaturesError(f"{rule}, of floating point, not {array.dtype}")
     if array.shape != shape:
         raise FeaturesError(f"{rule}, not {array.shape}; is it the same encoder, for each point?")
     with np.errstate(over="ignore"):  # too large for float32: not finite, and refused
@@ -169,27 +152,6 @@ def as_features(
     if not torch.isfinite(tokens).all():
         raise FeaturesError(f"{rule}, and finite; leave out images that have none")
     return tokens.to(encoder.device if device is None else device)
-
-
-def _check_version(version: str | None, encoder: PatchEncoder) -> None:
-    if version is not None and version != encoder.version:
-        raise FeaturesError(
-            f"features must be by the optimizer's own encoder, of the version {encoder.version!r}, "
-            f"not {version!r}; encode the images again with that, or tell the images themselves"
-        )
-
-
-def _stacked(features: Any, rule: str) -> np.ndarray[Any, Any]:
-    """One array of floating point numbers; FeaturesError with the rule for anything else."""
-    try:
-        if isinstance(features, list | tuple):
-            features = np.stack([_as_array(tokens) for tokens in features])
-        array = _as_array(features)
-    except (TypeError, ValueError, RuntimeError) as error:
-        raise FeaturesError(f"{rule}: {error}") from error
-    if array.dtype.kind != "f":
-        raise FeaturesError(f"{rule}, of floating point, not {array.dtype}")
-    return array
 
 
 def _as_array(features: Any) -> np.ndarray[Any, Any]:
