@@ -181,6 +181,10 @@ class Evaluator:
         comparison = self.comparison or self._compared_by()
         return comparison.residual(image)
 
+    def shown(self, image: Float32) -> Float32:
+        """An image (H, W, C) for people: in the light of the target, over it where it is free."""
+        return image[..., :3] if self.comparison is None else self.comparison.shown(image)
+
     def retargeted(
         self, target: object, loss: str | Callable[..., object] | None = None
     ) -> Evaluator:

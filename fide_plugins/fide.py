@@ -203,8 +203,9 @@ class FIDE(Saved):
         )
         self.same_images = SameImages(self.popsize)
         self._lock = Lock()
-        self._model: Model | None = None
-        self.begin_with(learned)
+        model, posterior = self._model_of(learned, self.views.targets)
+        self.state = self._initial_state(posterior)
+        self._model = model  # of the renderer, so of the next picture, too; it is never saved
 
     def _validity_of(self, constraints: Callable[[Any], object] | None) -> Validity | None:
         """Which points may be rendered; None: all.  Raises OptionError for a guess that may not."""
@@ -815,17 +816,6 @@ class FIDE(Saved):
         return self.evaluator.features_shape
 
     # -- where searches begin, and the next picture ------------------------------------------------
-
-    def begin_with(self, learned: Any, renders: int = 0) -> None:
-        """Begin with hypotheses of a learned model, or without; what was told is forgotten.
-
-        learned: argument of `FIDE`; raises and warns as that does, before anything changes.
-        renders: of the same run, from which it was learned.  They count as evaluations.
-        """
-        model, posterior = self._model_of(learned, self.views.targets)
-        self.state = self._initial_state(posterior)
-        self.state.begin_after(renders)
-        self._model = model  # of the renderer, so of the next picture, too; it is never saved
 
     def _model_of(self, learned: Any, target: Any) -> tuple[Model | None, Posterior | None]:
         """A learned model, or that of a file, and what it says of a target, as the seed draws it.

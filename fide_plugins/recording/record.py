@@ -78,7 +78,6 @@ class Progress:
     best_loss: lowest loss so far; infinity before the first finite loss.
     wall_s: seconds so far, without interruptions.
     times: seconds by `PARTS`; the loop itself takes the rest.
-    doing: what is done before the search, such as "first model, pass 2/10"; then "".
     remark: what else is known, such as "3 rendering, 1 failed".
     time: seconds that are allowed; None: no limit.
     """
@@ -88,7 +87,6 @@ class Progress:
     best_loss: float
     wall_s: float
     times: dict[str, float]
-    doing: str = ""
     remark: str = ""
     time: float | None = None
 
@@ -275,18 +273,15 @@ class Record:
         return improved
 
     def judge_best(self, best: Solution) -> None:
-        """Replace the best candidate, after images began to be compared in another way."""
+        """Replace the best candidate, after images began to be compared in another way.
+
+        Of all others the losses are of the old comparison, and become infinite.
+        """
+        self.losses = array("d", [math.inf]) * self.evaluations
+        self.losses[best.evaluation] = best.loss
+        self.improvements, self.path = array("q", [best.evaluation]), [best.x.copy()]
         self.best_loss, self.best_evaluation = best.loss, best.evaluation
         self.x_best, self.image = best.x.copy(), best.image
-
-    def add_unjudged(self, renders: int) -> None:
-        """Add renders that were learned from and not compared with the target: a loss of infinity.
-
-        They count as evaluations.
-        """
-        self.losses.extend([math.inf] * renders)
-        self.seconds.extend([self.wall_s] * renders)
-        self.generations.append(renders)
 
     @contextmanager
     def timing(self, optimizer: Optimizer) -> Iterator[None]:

@@ -25,7 +25,7 @@ from fide_lab.run.prepare import kept_of, make_task, settings_of, target_of
 from fide_lab.run.task import Task, TaskInfo, is_function
 from fide_plugins import losses as losses_module
 from fide_plugins.errors import OptionError
-from fide_plugins.learning.hypotheses import model_for
+from fide_plugins.learning.hypotheses import with_model
 from fide_plugins.recording.sources import of_files, of_losses, of_models, of_weights
 from fide_plugins.recording.storage import KeptTarget
 from fide_plugins.renderers import FunctionRenderer
@@ -239,7 +239,7 @@ class Plan:
         for name in self.tasks:
             task = make_task(name, self.size, self.task_seed, self.task_options)
             for configuration in self.configurations:  # a model may be of another version
-                model_for(self.options_of(configuration).get("learned"), task)
+                with_model(self.options_of(configuration), task)
             target = target_of(task, target_file(out, name))
             targets[name] = kept_of(task, target)
             mine = [key for key in self.runs() if key.task == name]

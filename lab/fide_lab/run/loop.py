@@ -35,7 +35,6 @@ from fide_plugins.errors import FideError, PointsError, RenderError
 from fide_plugins.fitting.loop import Loop
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers import InThisProcess
-from fide_plugins.learning.hypotheses import Rounds
 from fide_plugins.losses.base import ImageLoss
 from fide_plugins.recording.directory import RunDirectory, note_unsaved
 from fide_plugins.recording.record import (
@@ -71,7 +70,6 @@ class Run:
     checkpoint_every: seconds between checkpoints, see `CheckpointTimer`.
     keep, metrics: what to record beside the loss, and the losses that this needs, by name.
     fidelity: numbers of samples per pixel that rise; None where they stay.
-    rounds: of learning before the search, for an optimizer that begins with a model; None: none.
     """
 
     def __init__(
@@ -87,13 +85,11 @@ class Run:
         keep: Keep,
         metrics: Mapping[str, ImageLoss],
         fidelity: Fidelity | None = None,
-        rounds: Rounds | None = None,
     ) -> None:
         self.task, self.target, self.optimizer, self.loss = task, target, optimizer, loss
         self.settings, self.record = settings, record
         self._directory, self._checkpoint_every = directory, checkpoint_every
         self._keep, self._metrics, self._fidelity = keep, metrics, fidelity
-        self._rounds = rounds
         self._info = TaskInfo.of(task)
         self._budget: int = settings["budget"]
         self._clipping = Clipping()
@@ -131,8 +127,6 @@ class Run:
                 piece=self._info.piece or PIECE, checkpoint_every=self._checkpoint_every,
             )  # fmt: skip
             try:
-                if self._rounds is not None:
-                    self._loop.learn(self._rounds, 1, on_progress)
                 self._loop.run()
                 self.save()
                 with interrupts.stoppable(), self._loop.not_counted():

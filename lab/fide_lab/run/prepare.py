@@ -17,7 +17,7 @@ from fide_lab.run.user_optimizer import AskTell, UserOptimizer, complete
 from fide_lab.suite import read as read_suite
 from fide_plugins import losses as losses_module
 from fide_plugins.errors import CheckpointError, FideError, OptionError, RenderError
-from fide_plugins.learning.hypotheses import Rounds, rounds_of, search_options, with_model
+from fide_plugins.learning.hypotheses import with_model
 from fide_plugins.losses.base import ImageLoss
 from fide_plugins.recording.directory import RunDirectory
 from fide_plugins.recording.record import Keep, Progress, Record, RunResult
@@ -129,7 +129,7 @@ def prepare(
     if isinstance(task, str):
         task = make_task(task, size, task_seed, task_options)
     resumed = resume and out is not None and is_saved(out)
-    search_options = _options_of(optimizer, options, task, resumed)
+    search_options = with_model(options, task, resumed=resumed and optimizer == "fide")
     fidelity = Fidelity(task, task_options["least_spp"]) if "least_spp" in task_options else None
     file = None if out is None or target is not None else Path(out) / TARGET_FILE
     target = target_of(task, file) if target is None else as_target(target)
@@ -138,12 +138,11 @@ def prepare(
     settings = settings_of(
         task, target, optimizer, judge.name, budget, seed, task_options, options, keep
     )
-    rounds = _rounds(optimizer, task, target, options, budget, seed, out)
     searcher = _make_optimizer(optimizer, task, target, loss, seed, budget, search_options)
     record, directory = Record(), None
     if out is not None:
         _check_reloads(optimizer, searcher)
-        may_change = () if rounds or _depends_on_budget(optimizer) else ("budget",)
+        may_change = () if _depends_on_budget(optimizer) else ("budget",)
         directory = RunDirectory(
             out, settings, resume=resume, command=command, may_change=may_change,
             sources=_sources(task, optimizer, options, searcher, [judge, *metrics.values()]),
@@ -152,7 +151,7 @@ def prepare(
         record, searcher = _started(directory, record, searcher, fidelity, budget, kept)
     return Run(
         task, target, searcher, judge, settings, record, directory, checkpoint_every, keep, metrics,
-        fidelity, rounds,
+        fidelity,
     )  # fmt: skip
 
 
@@ -163,15 +162,6 @@ def _check_optimizer(optimizer: str | Callable[..., AskTell], options: Mapping[s
         optimizers.options(optimizer)  # raises
         given = ("self", "dim", "target", *given)  # a user's callable may name its own options so
     check_names(options, given, "is an argument of the run, not an option of its optimizer")
-
-
-def _options_of(
-    optimizer: str | Callable[..., AskTell], options: dict[str, Any], task: Task, resumed: bool
-) -> dict[str, Any]:
-    """Options as the optimizer gets them; resumed: whether it goes on from a saved state."""
-    if optimizer == "fide":
-        return search_options(options, task, resumed=resumed)
-    return with_model(options, task)
 
 
 def _sources(
@@ -189,21 +179,6 @@ def _sources(
     if isinstance(optimizer, str):
         files[optimizer] = optimizers.source_of(optimizer)
     return of_files(files) | of_models(options) | of_weights(searcher) | of_losses(losses)
-
-
-def _rounds(
-    optimizer: str | Callable[..., AskTell],
-    task: Task,
-    target: Float32,
-    options: dict[str, Any],
-    budget: int,
-    seed: int,
-    out: str | os.PathLike[str] | None,
-) -> Rounds | None:
-    if optimizer != "fide":
-        return None
-    space = TaskInfo.of(task).search_space or task.dim
-    return rounds_of(task, space, target, options, budget=budget, seed=seed, out=out)
 
 
 def _check_reloads(optimizer: str | Callable[..., AskTell], searcher: Optimizer) -> None:
