@@ -141,8 +141,8 @@ def remove_leftovers(
 ) -> None:
     """Remove temporary files that a killed process left in `folder`.
 
-    age: seconds since they were last written, at least, where others may be writing; 0: whatever.
-    mine: whether a file of that name is written by nobody else now.
+    age: seconds since they were last written, at least.  mine: whether nobody else writes a file of
+    that name now.
     """
     for leftover in Path(folder).glob(f".*{_SUFFIX}"):
         with suppress(OSError):
@@ -172,12 +172,9 @@ def locked(
 ) -> Iterator[bool]:
     """Lock the file `path`, made if it is missing; yields whether this process holds the lock.
 
-    wait: wait until no other process holds the lock, and yield True.
-    remove: remove the file at the end.
-
-    The system releases the lock when a process ends, however it ends; processes that it has forked
-    do not hold it.  Where there are no such locks (Windows, some network file systems) the result
-    is always True.
+    wait: wait for it.  remove: remove the file at the end.  The system releases the lock when a
+    process ends, however; processes that it has forked do not hold it.  Where there are no such
+    locks (Windows, some network file systems) the result is always True.
     """
     if fcntl is None:
         yield True

@@ -1,22 +1,14 @@
 """Threads: how many compute, locks, work in the background, and what a fork leaves of them.
 
-Most of what FIDE computes is small, and several threads do it more slowly than one: OpenMP's
-(PyTorch) and OpenBLAS's (NumPy, SciPy) wait for each other by spinning on the same cores.  So the
-small parts compute in one thread, within `one_thread`.  Networks, and functions of the user's,
-compute in as many threads as the user has set, within `user_threads`.  Both are context managers
-and decorators, and may be nested.  A run without a network is the same, bit for bit, whatever
-number of threads is set.
+Most of what FIDE computes is small, and several threads do it more slowly than one.  So the small
+parts compute in one thread, within `one_thread`; networks, and functions of the user's, in as many
+threads as the user has set, within `user_threads`.  A run without a network is the same, bit for
+bit, whatever number of threads is set.  OpenMP and MKL have one setting for each thread.  OpenBLAS
+has one for the process: the first thread that enters limits it, the last one that leaves restores.
 
-OpenMP and MKL have one setting for each thread.  OpenBLAS has one for the process: the first thread
-that enters limits it, the last one that leaves restores it.
-
-A forked process has one thread only, and the locks and half-done work of the others:
-
-- its first parallel loop would wait for OpenMP's threads for ever, so `user_threads` is one thread
-  there;
-- a `Lock` is free there;
-- `Background` work is waited for before the fork, and so are the ends of its thread and of those
-  that it made: MKL gives their memory back then, under a lock that nobody would open in the child.
+A forked process has one thread only.  OpenMP's would be waited for for ever, so `user_threads` is
+one thread there; a `Lock` is free there; `Background` work is waited for before the fork, and so
+are the ends of its threads: MKL gives their memory back then, under a lock that nobody would open.
 """
 
 from __future__ import annotations

@@ -1,34 +1,20 @@
 """Converts and validates targets and renders.
 
 Inside the library all images are *canonical*: C-contiguous float32 NumPy arrays with values in
-[0, 1], `(H, W, 3)` for a target and `(n, H, W, 3)` for a batch.  :func:`as_target` and
-:func:`as_batch` convert all other images by these rules.
+[0, 1], `(H, W, 3)` for a target and `(n, H, W, 3)` for a batch.  The rules for all others:
 
-=================  ============================================================================
-values             uint8 [0, 255] and bool are scaled to [0, 1]; floats of any precision keep
-                   their values; other types are refused, since their scale is unknown: white may
-                   be 4095 in a uint16 array
-channels           none or 1: gray, repeated; 3: RGB; 4: RGBA, composited over white (a mask over
-                   black: what is transparent is hidden)
-axes               channels last.  In a torch tensor channels may come first: if the first axis
-                   has 1, 3 or 4 entries and the other two fit the required size (that of the
-                   target), if there is one
-NaN, infinity      refused
-outside [0, 1]     refused in a target; clipped in a batch, with a warning (a renderer may
-                   overshoot).  An overshoot of up to 1e-6, which is rounding, is clipped silently.
-                   Renders on another scale than the target are refused, see `pixels`
-value range        with one, [low, high] takes the place of [0, 1], and all types are numbers as
-                   they are: uint8 from 0 to 255, uint16 from 0 to 65535, whole numbers of any kind.
-                   Alpha is a share still: of whole numbers, of their type's largest one
-hidden pixels      where a mask has zeros: NaN becomes 0, other values are clipped, and nothing is
-                   refused for them
-files, PIL images  turned upright (EXIF), palettes expanded, 16 bits divided by 65535, grays of 32
-                   bits refused; of several frames the first, with a warning; at most
-                   `MAX_PIXELS` pixels.  TIFF of floats and HDR keep their values.  With a value
-                   range all numbers are as they are stored
-=================  ============================================================================
-
-PyTorch and Pillow are imported only if an image needs them.
+- values: uint8 [0, 255] and bool are scaled to [0, 1]; floats keep their values; other types are
+  refused, since their scale is unknown.  With a value range, [low, high] takes the place of [0, 1],
+  and all types are numbers as they are; alpha is a share still;
+- channels: none or 1, gray, repeated; 3, RGB; 4, RGBA, composited over white (a mask over black);
+- axes: channels last.  In a torch tensor channels may come first: if the first axis has 1, 3 or 4
+  entries and the other two fit the required size, if there is one;
+- outside [0, 1]: refused in a target; clipped in a batch, with a warning, unless it is rounding (up
+  to 1e-6).  Renders on another scale than the target are refused, see `pixels`;
+- NaN and infinity are refused;
+- hidden pixels, where a mask has zeros: NaN becomes 0, other values are clipped;
+- files, PIL images: turned upright (EXIF), palettes expanded, 16 bits divided by 65535, grays of 32
+  bits refused; of several frames the first, with a warning; at most `MAX_PIXELS` pixels.
 """
 
 from __future__ import annotations
@@ -94,25 +80,15 @@ def as_target(
 ) -> Float32:
     """Canonical copy of one image: float32 (H, W, 3) in [0, 1], C-contiguous.
 
-    Parameters
-    ----------
-    target
-        array, torch tensor, PIL image or path of an image file; see the module's rules.
-    what
-        its name in errors.
-    size
-        required size (H, W); None: any.
-    hidden
-        (H, W), pixels that do not count; None: all do.
-    behind
-        gray value in [0, 1] behind transparent pixels, 1 is white.
-    values
-        those that become 0 and 1; None: 0 and 1.
+    target: array, torch tensor, PIL image or path of an image file; see the module's rules.
+    what: its name in errors.
+    size: required size (H, W); None: any.
+    hidden: (H, W), pixels that do not count; None: all do.
+    behind: gray value in [0, 1] behind transparent pixels, 1 is white.
+    values: those that become 0 and 1; None: 0 and 1.
 
-    Raises
-    ------
-    ImageError
-        wrong shape, type or values (also a ValueError); `ImageNotFoundError` for a missing file.
+    Raises ImageError (a ValueError) for wrong shape, type or values; `ImageNotFoundError` for a
+    missing file.
     """
     pixels = _pixels(target, size, what, "resize it to that", raw=values is not None)
     return _canonical(pixels, what, None, hidden, behind, values)
@@ -161,25 +137,15 @@ def as_batch(
     A canonical batch is checked and returned without a copy: do not modify the result, and keep
     no reference to it.
 
-    Parameters
-    ----------
-    images
-        (n, H, W) or (n, H, W, C) array or torch tensor, a torch tensor (n, C, H, W), or a list or
-        tuple of images that `as_target` accepts.
-    shape
-        required size (H, W), or shape (H, W, 3) of the target; None: that of the first image.
-    n
-        required number of images; None: any number, also zero.
-    on_clip
-        called once, with a `pixels.Clip`, if finite values outside [0, 1] were clipped.
-    hidden, values
-        as of `as_target`.
+    images: (n, H, W) or (n, H, W, C) array or torch tensor, a torch tensor (n, C, H, W), or a list
+        or tuple of images that `as_target` accepts.
+    shape: required size (H, W), or shape (H, W, 3) of the target; None: that of the first image.
+    n: required number of images; None: any number, also zero.
+    on_clip: called once, with a `pixels.Clip`, if finite values outside [0, 1] were clipped.
+    hidden, values: as of `as_target`.
 
-    Raises
-    ------
-    ImageError
-        wrong number, shape, type or values (also a ValueError); a `ValueRangeError` if they are on
-        another scale.
+    Raises ImageError (a ValueError) for wrong number, shape, type or values; a `ValueRangeError` if
+    they are on another scale.
     """
     size = None if shape is None else (int(shape[0]), int(shape[1]))
     if isinstance(images, (list, tuple)):

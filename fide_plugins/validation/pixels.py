@@ -138,7 +138,7 @@ def value_range_of(given: Any) -> ValueRange | str | None:
 
     Raises OptionError (a ValueError) for anything else.
     """
-    if given is None or isinstance(given, ValueRange) or (given == AUTO and isinstance(given, str)):
+    if given is None or isinstance(given, ValueRange) or (isinstance(given, str) and given == AUTO):
         return given
     try:
         if any(isinstance(value, str | bytes | bool | np.bool_) for value in given):
@@ -471,7 +471,7 @@ def unit_range(
 ) -> Pixels:
     """Values of (..., H, W, C) as floats in [0, 1], itself if they are; `on_clip` None: never clip.
 
-    hidden: (H, W), pixels whose values are put into this range silently.
+    hidden: (H, W), pixels that are put into this range silently.
     """
     given = pixels
     if values is not None:

@@ -109,25 +109,15 @@ def as_features(
 ) -> torch.Tensor:
     """Tokens of n images as float32 (n, T, C) on the device.
 
-    Parameters
-    ----------
-    features
-        array or tensor, or a list of n arrays or tensors (T, C).
-    shape
-        required shape (n, T, C); T and C are those of the target's tokens.
-    encoder
-        encoder of the optimizer.
-    version
-        attribute `version` of the encoder that made the features, which is compared: two versions
-        may give features of the same shape.  None: unknown.
-    device
-        device of the result; None: that of the encoder.
+    features: array or tensor, or a list of n arrays or tensors (T, C).
+    shape: required shape (n, T, C); T and C are those of the target's tokens.
+    encoder: that of the optimizer.
+    version: attribute `version` of the encoder that made the features, which is compared: two
+        versions may give features of the same shape.  None: unknown.
+    device: of the result; None: that of the encoder.
 
-    Raises
-    ------
-    FeaturesError
-        another version, another shape, no real numbers, or values that are not finite (also a
-        ValueError).
+    Raises FeaturesError (a ValueError) for another version, another shape, no real numbers, or
+    values that are not finite.
     """
     if version is not None and version != encoder.version:
         raise FeaturesError(
