@@ -118,8 +118,6 @@ EXTRAS = {
     "exr": ("OpenEXR",),
     "mcp": ("mcp",),
     "dask": ("distributed",),
-    "botorch": ("botorch",),
-    "sbi": ("sbi",),
     "dfols": ("DFO-LS",),
     "report": ("jinja2", "matplotlib"),
     "tensorboard": ("tensorboard",),
