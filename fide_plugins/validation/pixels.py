@@ -1,8 +1,4 @@
-"""Rules of types, axes and values, for images that are an array or a torch tensor.
-
-`pixels` of the type Any below are an array or a tensor: only their shape, their dtype and views of
-them are used.  PyTorch and Pillow are imported only if an image needs them.
-"""
+"""Rules of types, axes and values, for images that are an array or a torch tensor."""
 
 from __future__ import annotations
 
@@ -323,14 +319,8 @@ def check_axes(pixels: Any, what: str) -> None:
 
 def check_batch_axes(pixels: Any, size: Size | None, what: str) -> None:
     """Raise ImageError unless the axes are those of a batch."""
-    single = (
-        pixels.ndim == 2
-        or (
-            pixels.ndim == 3  # (H, W, C) could pass for n gray images
-            and pixels.shape[2] in CHANNELS
-            and (size is None or tuple(pixels.shape[1:]) != size)
-        )
-    )
+    has_channels = pixels.ndim == 3 and pixels.shape[2] in CHANNELS  # as n gray images could
+    single = pixels.ndim == 2 or (has_channels and tuple(pixels.shape[1:]) != size)
     if single or pixels.ndim not in (3, 4):
         raise ImageError(
             f"{what} must have axes (n, H, W, C), or (n, H, W) for gray, got {describe(pixels)}"
@@ -386,49 +376,6 @@ _ROUNDING = 1e-6
 _LARGEST = 1e30  # of values that are added; there is no end to those of fireflies
 
 
-def refuse_not_finite(what: str, bad: int, pixels: Any) -> ImageError:
-    """Error for so many values that are NaN or infinite."""
-    return ImageError(
-        f"{what} must be finite, got {bad} NaN or infinite values in {describe(pixels)}; "
-        "mend them in the renderer, or replace them with np.nan_to_num"
-    )
-
-
-def is_clipped(
-    seen: Any,
-    pixels: Any,
-    low: float,
-    high: float,
-    what: str,
-    on_clip: OnClip | None,
-    values: ValueRange | None = None,
-) -> bool:
-    """Whether floats with these extremes are to be clipped to [0, 1]; `on_clip` None: never.
-
-    seen: those of `pixels` that count; low, high: their extremes.  values: range from which they
-    were scaled, for messages.  Raises ImageError for those that are refused, ValueRangeError for
-    renders that are plainly on another scale; tells `on_clip` of more than rounding.
-    """
-    if low >= 0.0 and high <= 1.0:
-        return False
-    if low >= -_ROUNDING and high <= 1.0 + _ROUNDING:
-        return True
-    ends = (low, high)
-    if values is not None:
-        ends = values.low + low * values.span, values.low + high * values.span
-    of_bytes = values is None and _are_bytes(seen, low, high)
-    got = f"values in [{ends[0]:.6g}, {ends[1]:.6g}], {describe(pixels)}"
-    rule, remedy = values or "[0, 1]", _remedy(what, ends, of_bytes, values)
-    if on_clip is None or of_bytes:
-        refused = ImageError if on_clip is None else ValueRangeError
-        raise refused(f"{what} must have values in {rule}, got {got}; {remedy}")
-    hint = f"; if they are no overshoot, {remedy}" if high > 2.0 or low < -1.0 else ""
-    batch = seen.reshape(len(pixels) if pixels.ndim == 4 else 1, -1)
-    told = f"{what} has {got}; they are clipped to {rule}{hint}"
-    on_clip(_clip(told, batch, ends))
-    return True
-
-
 def _clip(message: str, batch: Any, ends: tuple[float, float]) -> Clip:
     """What was clipped in images (n, values); ends: extremes in the user's values."""
     beyond = (batch > 1.0 + _ROUNDING).any(1)
@@ -438,13 +385,6 @@ def _clip(message: str, batch: Any, ends: tuple[float, float]) -> Clip:
     total = bright[above].clip(0.0, _LARGEST).sum()
     counts = (int(outside.sum()), int((bright > _LIT).sum()), int(above.sum()))
     return Clip(message, counts[0], *ends, *counts[1:], float(total))
-
-
-def _are_bytes(seen: Any, low: float, high: float) -> bool:
-    """Whether floats with these extremes are plainly in [0, 255]: whole numbers, one above 2."""
-    if not (low >= 0.0 and 2.0 < high <= 255 + _ROUNDING):
-        return False
-    return bool((seen == seen.round()).all())
 
 
 def _remedy(what: str, ends: tuple[float, float], of_bytes: bool, values: ValueRange | None) -> str:
@@ -490,12 +430,41 @@ def unit_range(
         low, high = extremes(seen)
     if not (np.isfinite(low) and np.isfinite(high)):
         bad = seen.size - int(np.count_nonzero(np.isfinite(seen)))
-        raise refuse_not_finite(what, bad, given)
-    if seen.dtype.itemsize == 2:  # float16 counts and adds up to 65504 only
-        seen = seen.astype(np.float32)
-    if not is_clipped(seen, given, low, high, what, on_clip, values):
+        raise ImageError(
+            f"{what} must be finite, got {bad} NaN or infinite values in {describe(given)}; "
+            "mend them in the renderer, or replace them with np.nan_to_num"
+        )
+    if is_unit(low, high):
         return pixels
+    if low < -_ROUNDING or high > 1.0 + _ROUNDING:
+        wide = seen.astype(np.float32) if seen.dtype.itemsize == 2 else seen  # sums above 65504
+        n = len(given) if given.ndim == 4 else 1
+        _tell_clipped(wide, describe(given), what, on_clip, values, n)
     return np.clip(pixels, 0.0, 1.0, order="C")
+
+
+def _tell_clipped(
+    seen: Pixels, about: str, what: str, on_clip: OnClip | None, values: ValueRange | None, n: int
+) -> None:
+    """Tell `on_clip` of values beyond [0, 1] in n images.
+
+    Raises ImageError where they are refused, ValueRangeError for renders that are plainly on
+    another scale: whole numbers up to more than 2 and at most 255.
+    """
+    low, high = extremes(seen)
+    ends = (low, high)
+    if values is not None:
+        ends = values.low + low * values.span, values.low + high * values.span
+    of_bytes = values is None and low >= 0.0 and 2.0 < high <= 255 + _ROUNDING
+    of_bytes = of_bytes and bool((seen == seen.round()).all())
+    got = f"values in [{ends[0]:.6g}, {ends[1]:.6g}], {about}"
+    rule, remedy = values or "[0, 1]", _remedy(what, ends, of_bytes, values)
+    if on_clip is None or of_bytes:
+        refused = ImageError if on_clip is None else ValueRangeError
+        raise refused(f"{what} must have values in {rule}, got {got}; {remedy}")
+    hint = f"; if they are no overshoot, {remedy}" if high > 2.0 or low < -1.0 else ""
+    told = f"{what} has {got}; they are clipped to {rule}{hint}"
+    on_clip(_clip(told, seen.reshape(n, -1), ends))
 
 
 def _scaled(pixels: Pixels, values: ValueRange) -> Pixels:

@@ -1,14 +1,4 @@
-"""Features that were encoded elsewhere.
-
-A remote worker can encode its image where it renders, and send the tokens instead of the picture:
-
-    encoder = encoders.make("dense")             # there
-    tokens = encoder(images)                     # (n, T, C)
-    opt.tell(X, losses=losses, features=tokens, version=encoder.version)  # here
-
-Two versions of an encoder, or two files of its weights, give features of the same shape.  If the
-caller passes the version, it is compared; otherwise the caller is responsible for it.
-"""
+"""Features that were encoded where a remote worker rendered."""
 
 from __future__ import annotations
 
