@@ -161,8 +161,8 @@ def parse_key_value(text: str) -> tuple[str, Any]:
             return key, json.loads(value)
         except ValueError as error:
             raise OptionError(
-                f"{text!r}: a value in brackets or braces is JSON, such as [[0,1],[2,3]] or "
-                f'{{"azimuth": 30}} ({error})'
+                f"{text!r}: a value in brackets is a list such as [[0,1],[2,3]], one in braces a "
+                f'dictionary such as {{"azimuth": 30}} ({error})'
             ) from error
     for kind in (int, float):
         with suppress(ValueError):
