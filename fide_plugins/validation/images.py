@@ -106,7 +106,10 @@ def as_pixels(image: object, what: str, raw: bool = False) -> Pixels:
 
 
 def alpha_of(image: object, what: str = "the target") -> Float32:
-    """Alpha channel (H, W) float32 in [0, 1] of any input of `as_target`; ImageError without it."""
+    """Alpha channel (H, W) float32 in [0, 1] of `image`, any input of `as_target`.
+
+    what: its name in errors.  Raises ImageError if it has none.
+    """
     array = _pixels(image, None, what)
     if array.shape[-1] != 4:
         raise ImageError(f"{what} must have an alpha channel, (H, W, 4), got {describe(array)}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -146,7 +147,8 @@ def test_a_tuple_of_overexposed_views_is_fitted_and_its_solutions_are_kept(
         params = {"x": 0.0, "gray": 0.5, "rows": 2, "shape": "disk"}
         return [Rendered(render(params), 0.0), Rendered(None, 0.0)]
 
-    _keep_pictures(again, result, Path("out"))
+    renders: Any = again
+    _keep_pictures(renders, result, Path("out"))
     ((x, image),) = stored.read_images(Path("out"))
     np.testing.assert_array_equal(x, points[1])
     assert image.shape == (12, 24, 3) and image.max() == 1.0
