@@ -44,7 +44,7 @@ _MEMORY = 400  # candidates after which a generation counts for 1/e
 _SURE = 3.0  # standard deviations
 _SHORT_MEMORY = 100  # candidates, of how much the last generations agree
 _ENOUGH = 20  # generations, before images may end a search
-_LITTLE, _MUCH = 0.2, 0.4  # mean rho; measured, see `lab/reports/extremes.md`
+_LITTLE, _MUCH = 0.2, 0.4  # mean rho; measured
 
 
 class ImageGate(Stateful):
