@@ -76,15 +76,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--backgrounds", metavar="FOLDER",
         help="pictures, or 'generated' ones, that are put behind renders which say what they draw "
         "(RGBA, or image and coverage), for photographs")  # fmt: skip
-    add("--head", choices=("autoregressive", "mixture", "set"),
-        help="density that is learned (set where parameters are exchangeable, autoregressive "
-        "elsewhere)")  # fmt: skip
     add("--emulator", action=argparse.BooleanOptionalAction,
         help="a learned renderer, too (where parameters are exchangeable)")  # fmt: skip
     add("--groups", type=lists, metavar="'[[0,1],[2,3]]'",
         help="exchangeable blocks of parameters, [] for none (those of the space)")  # fmt: skip
-    add("--version", metavar="TEXT", help="of your renderer (its attribute version)")
-    add("--store-limit", type=float, default=20.0, metavar="GIB", help="of the renders (20)")
     add("--device", default="auto", help="where the network trains: auto, cpu or cuda (auto)")
     add("--out", type=path, required=True, metavar="MODEL", help="file of the model")
     add("--resume", action="store_true", help="go on with the renders that are there")
@@ -152,8 +147,8 @@ def _arguments(args: argparse.Namespace) -> dict[str, Any]:
 
     render, space = _renderer(args)
     same = (
-        "renders", "size", "passes", "seed", "augment", "backgrounds", "head", "emulator", "groups",
-        "version", "store_limit", "device", "out",
+        "renders", "size", "passes", "seed", "augment", "backgrounds", "emulator", "groups",
+        "device", "out",
     )  # fmt: skip
     time = None if args.time is None else seconds_of("time", args.time)
     given = {name: getattr(args, name) for name in same}

@@ -78,14 +78,12 @@ def test_candidates_are_the_same_where_double_precision_is_the_default(
     np.testing.assert_array_equal(double(second_generation), second_generation())
 
 
-@pytest.mark.parametrize(
-    ("head", "groups"), [("autoregressive", []), ("mixture", []), ("set", BLOCKS)]
-)
+@pytest.mark.parametrize("groups", [[], BLOCKS])
 def test_learning_is_the_same_where_double_precision_is_the_default(
-    double: Any, head: str, groups: list[list[int]]
+    double: Any, groups: list[list[int]]
 ) -> None:
     options: dict[str, Any] = {"renders": 200, "passes": 1, "size": 16}
-    made = partial(learn, disks, 4, head=head, groups=groups, **options)
+    made = partial(learn, disks, 4, groups=groups, **options)
     expected, model = made(), double(made)
     assert same(model.network, expected.network) and model.report.curve == expected.report.curve
     picture = disks(np.array([0.3, 0.4, 0.7, 0.6]))
