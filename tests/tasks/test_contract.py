@@ -246,15 +246,6 @@ def test_exchanging_the_values_of_two_groups_leaves_the_image(make: Make) -> Non
         np.testing.assert_allclose(after, before, atol=2e-6)
 
 
-def test_callers_cannot_change_the_target(task: Task) -> None:
-    target, x_star = task.target, task.x_star
-    task.target[:] = 0.123
-    np.testing.assert_array_equal(task.target, target)
-    if x_star is not None and task.x_star is not None:
-        task.x_star[:] = 0.123
-        np.testing.assert_array_equal(task.x_star, x_star)
-
-
 def test_tasks_can_be_sent_to_other_processes(task: Task) -> None:
     copy = pickle.loads(pickle.dumps(task))
     X = np.random.default_rng(7).random((2, task.dim))
@@ -355,22 +346,7 @@ def test_the_reference_has_little_noise_and_is_always_the_same() -> None:
     np.testing.assert_array_equal(Noise(48).reference([0.5]), image)
 
 
-def test_the_target_of_a_noisy_task_is_always_the_same() -> None:
-    task = Noise(16, seed=2)
-    task.render(X2)
-    np.testing.assert_array_equal(task.target, Noise(16, seed=2).target)
-
-
 def test_physical_values_reach_the_renderer() -> None:
     assert Noise(4).decode([0.25]) == {"light": {"power [W]": 15.0}}
     image = Noise(64).render(np.array([[0.25]]), seed=0)
     assert abs(image.mean() - 15 / 40) < 0.01
-
-
-def test_a_task_without_a_target_says_so() -> None:
-    class Aimless(Noise):
-        def _make_x_star(self) -> None:  # type: ignore[override]
-            return None
-
-    with pytest.raises(NotImplementedError, match="Aimless generates neither"):
-        _ = Aimless(8).target

@@ -46,8 +46,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--spp", type=whole(1), metavar="N", help="samples per pixel, for tasks of Mitsuba")
     add("--least-spp", type=whole(1), metavar="N",
         help="samples per pixel at first; they rise to --spp as noise requires")  # fmt: skip
-    add("--workers", type=whole(1), metavar="N",
-        help="processes that render, for tasks of Mitsuba (1)")  # fmt: skip
     add("--task-set", type=setting, action="append", default=[], metavar="KEY=VALUE",
         help="any option of the task, such as cells=12; may be repeated")  # fmt: skip
     add("--learned", metavar="MODEL", help="model of: fide learn")
@@ -98,6 +96,6 @@ def _learned(args: argparse.Namespace) -> dict[str, Any]:
 
 def _task_options(args: argparse.Namespace) -> dict[str, Any]:
     """Options of the task from --task-set and from the flags that are options of tasks."""
-    flags = {name: getattr(args, name) for name in ("spp", "least_spp", "workers")}
+    flags = {name: getattr(args, name) for name in ("spp", "least_spp")}
     given = {k: v for k, v in flags.items() if v is not None} | options_of(args)
     return {**given, **dict(args.task_set)}
