@@ -11,7 +11,6 @@ target by less than a hundredth of what random renders do: not the loss that was
 from __future__ import annotations
 
 import argparse
-import io
 import os
 from collections import Counter
 from collections.abc import Iterator
@@ -20,51 +19,19 @@ from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-import cv2
 import numpy as np
 from moves import span
-from numpy.typing import NDArray
-from PIL import Image
 from rows import Row, read, run_missing
 
 import fide_tasks
+from fide_lab.suite.foreign import GAPS as CHANGES, changed, clean_error
 from fide_plugins import FIDE
 
 SCENES = "robot", "arm"
-GAPS = "clean", "exposure", "shading", "occluder", "camera"
+GAPS = "clean", *CHANGES
 BUDGET, SIZE = 1500, 64
 FOUND = 0.01
 ARMS: dict[str, dict[str, Any]] = {"photo": {"photo": True}, "default": {}}
-
-
-def changed(image: NDArray[Any], gap: str, rng: np.random.Generator) -> NDArray[np.float32]:
-    """The picture (H, W, 3) that somebody else would take of the same scene."""
-    y = image.astype(np.float64)
-    height, width = y.shape[:2]
-    if gap == "exposure":
-        y = 0.9 * (0.85 * y) ** 1.35 + 0.04
-    elif gap == "shading":
-        field = cv2.resize(rng.uniform(0.65, 1.3, (3, 3)), (width, height), interpolation=2)
-        y = y * np.asarray(field)[..., None]
-    elif gap == "occluder":
-        tall, wide = int(0.3 * height), int(0.25 * width)
-        top, left = rng.integers(0, height - tall), rng.integers(0, width - wide)
-        patch = cv2.resize(rng.uniform(0, 1, (6, 6, 3)), (wide, tall))
-        y[top : top + tall, left : left + wide] = patch
-    elif gap == "camera":
-        y = np.asarray(cv2.GaussianBlur(y, (0, 0), 1.44 * height / 112))
-        y = np.clip(y + rng.normal(0, 0.03, y.shape), 0, 1)
-        file = io.BytesIO()
-        Image.fromarray((y * 255).round().astype(np.uint8)).save(file, "JPEG", quality=50)
-        y = np.asarray(Image.open(file)) / 255
-    return np.clip(y, 0, 1).astype(np.float32)
-
-
-def error(task: Any, x: NDArray[np.float64]) -> float:
-    """Mean squared error of the clean render at x, over the median of random renders."""
-    random = np.random.default_rng(5).uniform(0, 1, (60, task.dim))
-    errors = ((task.render(np.vstack([x, random])) - task.target) ** 2).mean((1, 2, 3))
-    return float(errors[0] / np.median(errors[1:]))
 
 
 def planned_runs(arguments: argparse.Namespace) -> Iterator[Row]:
@@ -87,7 +54,7 @@ def run(planned: Row) -> Row:
         search.tell(x, task.render(x))
     best = search.best
     assert best is not None
-    return {**planned, "error": error(task, best.x), "status": search.status.code}
+    return {**planned, "error": clean_error(task)(best.x), "status": search.status.code}
 
 
 def table(rows: list[Row]) -> str:

@@ -7,7 +7,7 @@
     python benchmarks/suite.py --picture docs/images/suite.png          # data profile
     python benchmarks/suite.py --picture docs/images/suite_performance.png --performance
     python benchmarks/suite.py --page runs/suite/report.html             # all of them on a page
-    python benchmarks/suite.py --budget 2000 --scenes arm,lens --optimizers composite-bo
+    python benchmarks/suite.py --budget 2000 --scenes arm,lens --optimizers dfols
     python benchmarks/suite.py --suite image-fitting-v2   # or -v3
 
 `fide compare --suite` keeps every run in a folder of its own; here it is one line of the output
@@ -56,13 +56,12 @@ from fide_lab.suite.problems import check_budgets
 from fide_lab.suite.scores import Scores, within
 from fide_plugins.cli.arguments import names, whole
 from fide_plugins.errors import OptionError
-from fide_plugins.recording.record import best_so_far
 from fide_plugins.types import Float64
 
 RESULTS = Path(__file__).parent / "results"
 OPTIMIZERS = (
-    "fide", "cma", "cma:popsize=50", "bipop-cma-es", "eki", "dual-annealing:step=0.001",
-    "zerograds", "dfols",
+    "fide", "cma", "cma:popsize=50", "eki", "dual-annealing:step=0.001", "zerograds",
+    "dfols",
 )  # fmt: skip
 CHEAP = ("voronoi", "spline", "robot", "lamps", "sprites", "arm", "lens", "stick_figure")
 """Scenes with renders of a few milliseconds."""
@@ -90,10 +89,9 @@ def planned(
     suite: Suite, scenes: Sequence[str], optimizers: Sequence[str], targets: int
 ) -> Iterator[Row]:
     """All runs, targets outermost."""
-    for number in range(targets):
-        for scene in scenes:
-            for optimizer in optimizers:
-                yield {"problem": suite.problem_of(scene, number), "optimizer": optimizer}
+    for problem in suite.problems(scenes, targets):
+        for optimizer in optimizers:
+            yield {"problem": problem, "optimizer": optimizer}
 
 
 def budget_of(suite: Suite, budget: int | None) -> int:
@@ -131,22 +129,25 @@ def measure(suite: Suite, budget: int, parts: Path, run: Row) -> Row:
         out=part_of(budget, parts, run),
         resume=True,
         checkpoint_every=60,
-        keep=harness.Keep(film=False, summary=False),
+        keep=harness.Keep(summary=False),
     )
+    at: dict[str, Float64] = {"renders": result.improvements.astype(np.float64) + 1}
+    curve = results.Curve(
+        at, {"seconds": result.wall_s}, result.losses[result.improvements], result.metrics
+    )
+    return row_of_curve(suite, problem, optimizer, curve, budget)
+
+
+def row_of_curve(
+    suite: Suite, problem: str, optimizer: str, curve: results.Curve, budget: int
+) -> Row:
+    """Row of a run with that budget; the errors take the place of losses where they judge."""
+    scene, _ = suite.problem(problem)
+    at = curve.reaches("renders", scene.solved, scene.metric)
     budgets = [b for b in suite.budgets if b <= budget]
-    return row_of(problem, optimizer, *reached(result.losses, scene.solved, budgets), result.wall_s)
-
-
-def reached(
-    losses: Float64, solved: float, marks: Iterable[int]
-) -> tuple[int | None, dict[str, float]]:
-    """Render that solved a problem, None if none did, and the lowest losses after some marks.
-
-    losses: (n,), of all renders.  solved: the loss that counts as solved.
-    """
-    best = best_so_far(losses)
-    hits = np.flatnonzero(best <= solved)
-    return int(hits[0]) + 1 if len(hits) else None, {str(n): float(best[n - 1]) for n in marks}
+    losses = {str(b): curve.loss_at("renders", b, scene.metric) for b in budgets}
+    solved_at = int(at) if np.isfinite(at) else None
+    return row_of(problem, optimizer, solved_at, losses, curve.ends["seconds"])
 
 
 def part_of(budget: int, parts: Path, run: Row) -> Path:
@@ -167,7 +168,11 @@ def take_over(suite: Suite, found: results.Results, out: Path) -> str:
     days = [call["started"][:10] for call in found.calls]
     made_by = {"date": days[-1], "commit": None, "packages": found.versions,
                "machine": found.machine}  # fmt: skip
-    rows = [row_of_run(suite, run, budget) for run in found.runs if run.curve is not None]
+    rows = [
+        row_of_curve(suite, run.key.task, run.key.configuration, run.curve, budget)
+        for run in found.runs
+        if run.curve is not None
+    ]
     taken = 0
     for row in missing(rows, out, key, counts=long_enough(budget)):
         append(out, row, made_by=made_by)
@@ -176,21 +181,6 @@ def take_over(suite: Suite, found: results.Results, out: Path) -> str:
     there = {f"in {out} already": len(rows) - taken} if taken < len(rows) else {}
     why = [f"{n} {status}" for status, n in (there | others).items()]
     return f"{taken} of {len(found.runs)} runs are taken{'; '.join(['', *why])}"
-
-
-def row_of_run(suite: Suite, run: results.StoredRun, budget: int) -> Row:
-    """Row of a finished run of a comparison with that budget."""
-    assert run.curve is not None
-    at = run.curve.reaches("renders", suite.problem(run.key.task)[0].solved)
-    budgets = [b for b in suite.budgets if b <= budget]
-    losses = {str(b): run.curve.loss_at("renders", b) for b in budgets}
-    return row_of(
-        run.key.task,
-        run.key.configuration,
-        int(at) if np.isfinite(at) else None,
-        losses,
-        run.curve.ends["seconds"],
-    )
 
 
 def row_of(

@@ -41,7 +41,7 @@ from fide_plugins.comparing import adapt_light
 from fide_plugins.comparison.kept import Kept
 from fide_plugins.comparison.scale_space import ScaleSpace
 from fide_plugins.encoders.base import PatchEncoder
-from fide_plugins.evaluation import Evaluation, Evaluator, on_cpu
+from fide_plugins.evaluation import Evaluation, Evaluator
 from fide_plugins.options import Options, flat, make_options
 from fide_plugins.population import Candidate, CandidateRole, Population
 from fide_plugins.population.candidate import TrainingSample, columns, in_order
@@ -203,8 +203,9 @@ class FIDE(Saved):
         )
         self.same_images = SameImages(self.popsize)
         self._lock = Lock()
-        self._model: Model | None = None
-        self.begin_with(learned)
+        model, posterior = self._model_of(learned, self.views.targets)
+        self.state = self._initial_state(posterior)
+        self._model = model  # of the renderer, so of the next picture, too; it is never saved
 
     def _validity_of(self, constraints: Callable[[Any], object] | None) -> Validity | None:
         """Which points may be rendered; None: all.  Raises OptionError for a guess that may not."""
@@ -509,7 +510,7 @@ class FIDE(Saved):
             self.state.stay_sharp()
         if self.state.kept is not None and batch is not None:
             at, given = self.state.evaluations, losses is not None
-            self.state.kept.note(points, on_cpu(batch), results.losses, at, given=given)
+            self.state.kept.note(points, batch, results.losses, at, given=given)
         self.enter(points, results)
         if self.state.kept is not None:
             adapt_light(self)
@@ -815,17 +816,6 @@ class FIDE(Saved):
         return self.evaluator.features_shape
 
     # -- where searches begin, and the next picture ------------------------------------------------
-
-    def begin_with(self, learned: Any, renders: int = 0) -> None:
-        """Begin with hypotheses of a learned model, or without; what was told is forgotten.
-
-        learned: argument of `FIDE`; raises and warns as that does, before anything changes.
-        renders: of the same run, from which it was learned.  They count as evaluations.
-        """
-        model, posterior = self._model_of(learned, self.views.targets)
-        self.state = self._initial_state(posterior)
-        self.state.begin_after(renders)
-        self._model = model  # of the renderer, so of the next picture, too; it is never saved
 
     def _model_of(self, learned: Any, target: Any) -> tuple[Model | None, Posterior | None]:
         """A learned model, or that of a file, and what it says of a target, as the seed draws it.

@@ -18,7 +18,6 @@ from fide_plugins.errors import OptionError, UnknownNameError
 from fide_plugins.validation import options as rules
 
 __all__ = [
-    "GLOBAL",
     "PAPER_SCHEDULE",
     "PRESETS",
     "NetworkOptions",
@@ -186,9 +185,6 @@ PRESETS: Mapping[str, Options] = {
     ),
 }
 
-GLOBAL = "global"
-"""Preset of `fit` and of the run loop, which render before the search."""
-
 _GROUPS = ("proposal", "network")
 _FIRST = ("loss", "encoder", "preset", "popsize", "x0", "sigma0", "mask", "seed", "device")
 _OTHER_ARGUMENTS = ("dim", "target", "weights", "value_range", "learned", "constraints")
@@ -200,13 +196,8 @@ def make_options(preset: str, changes: Mapping[str, Any]) -> Options:
     None is a value where the option may be None, but for `popsize`; elsewhere it changes nothing.
     Raises OptionError or UnknownNameError (both ValueErrors) naming the option, its value and rule.
     """
-    if preset == GLOBAL:
-        raise OptionError(
-            "preset='global' renders by itself before it searches, so it is of fit(...), fide fit "
-            "and fide run; for ask and tell, learn a model and give learned=MODEL"
-        )
     if not isinstance(preset, str) or preset not in PRESETS:
-        raise UnknownNameError.of("preset", preset, (*PRESETS, GLOBAL))
+        raise UnknownNameError.of("preset", preset, PRESETS)
     known = dict(_all_fields())
     for name in changes:
         if name not in known:

@@ -15,7 +15,7 @@ import numpy as np
 
 from fide_plugins import encoders
 from fide_plugins.errors import CheckpointError, OptionError
-from fide_plugins.fitting.pictures import side_by_side
+from fide_plugins.fitting.pictures import best_compared, picture, side_by_side
 from fide_plugins.recording.figures import figure_as_png, plain
 from fide_plugins.recording.parameters import Row, read_solutions, rows
 from fide_plugins.recording.storage import RunDirectoryError, is_saved, read_run, with_optimizer
@@ -106,9 +106,9 @@ def read(
     solutions[:1] = [_with_std(one, run) for one in solutions[:1]]
     known = read_images(path)
     images = [image_of(known, one.x) for one in solutions]
-    best = optimizer.state.best
-    if solutions and images[0] is None and best is not None and best.solution.image is not None:
-        images[0] = side_by_side(optimizer.views.unpacked(best.solution.image))
+    if solutions and images[0] is None:
+        best = best_compared(optimizer)
+        images[0] = None if best is None else picture(optimizer, best)
     return Found(
         str(settings.get("loss")),
         side_by_side(optimizer.views.targets),

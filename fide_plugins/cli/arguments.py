@@ -99,7 +99,7 @@ def add_run_arguments(
         help=f"{renders}{_shown(budget)}")  # fmt: skip
     add("--size", type=whole(1), default=side, metavar="PX", help=f"{size}{_shown(side)}")
     add("--seed", type=whole(0), default=0, metavar="N", help="seed of the optimizer (0)")
-    add("--preset", metavar="NAME", help="preset of fide: fast, balanced, accurate, paper, global")
+    add("--preset", metavar="NAME", help="preset of fide: fast, balanced, accurate, paper")
     add("--set", type=setting, action="append", default=[], metavar="KEY=VALUE", dest="options",
         help="any option of the optimizer, such as popsize=50; may be repeated")  # fmt: skip
     add("--out", type=path, metavar="DIR", help="run directory (a new one in runs/)")

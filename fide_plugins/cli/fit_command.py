@@ -312,7 +312,7 @@ def _keep_pictures(again: Again, result: Any, out: Path) -> None:
     import numpy as np
 
     from fide_plugins import solutions as stored
-    from fide_plugins.fitting.pictures import canonical, picture
+    from fide_plugins.fitting.pictures import as_compared, picture
     from fide_plugins.fitting.rendering import Rendered
 
     known = stored.read_images(out)
@@ -323,7 +323,7 @@ def _keep_pictures(again: Again, result: Any, out: Path) -> None:
     for x, outcome in zip(new, again(result.optimizer, np.array(new)), strict=True):
         if isinstance(outcome, Rendered):
             with suppress(ImageError):  # no image that fits is a render that failed, too
-                image = canonical(result.optimizer, outcome.image)
+                image = as_compared(result.optimizer, outcome.image)
                 known.append((x, picture(result.optimizer, image)))
     kept = [(x, image) for x, image in known if any(np.array_equal(x, one) for one in points)]
     if kept:

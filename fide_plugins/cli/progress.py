@@ -46,20 +46,16 @@ def shares(progress: Progress) -> str:
 
 
 class _Pace:
-    """Renders per second since the first call, which after resuming is not the start of the run.
-
-    What is done before the search counts by itself.
-    """
+    """Renders per second since the first call, which after resuming is not the start of the run."""
 
     def __init__(self) -> None:
         self._first: tuple[int, float] | None = None
-        self._doing = ""
         self._done, self._rate = 0, 0.0
 
     def note(self, progress: Progress) -> None:
         """Take the present state into account."""
-        if self._first is None or progress.doing != self._doing:
-            self._first, self._doing = (progress.evaluations, progress.wall_s), progress.doing
+        if self._first is None:
+            self._first = progress.evaluations, progress.wall_s
         before, seconds = self._first
         self._done = progress.evaluations - before
         self._rate = self._done / max(progress.wall_s - seconds, 1e-9)
@@ -70,7 +66,7 @@ class _Pace:
         Below one render per second the speed is in seconds, all workers together.
         """
         facts = []
-        if not progress.doing and math.isfinite(progress.best_loss):
+        if math.isfinite(progress.best_loss):
             facts.append(f"best {number(progress.best_loss)}")
         if self._rate >= 1:
             digits = 1 if self._rate < 9.95 else 0
@@ -86,7 +82,7 @@ class _Pace:
             limits.append((progress.budget - progress.evaluations) / max(self._rate, 1e-9))
         if progress.time is not None:
             limits.append(progress.time - progress.wall_s)
-        if progress.doing or self._done < _FEW or not limits or min(limits) <= 0:
+        if self._done < _FEW or not limits or min(limits) <= 0:
             return ""
         return f"about {_rounded(min(limits))} left"
 
@@ -119,9 +115,8 @@ class _Lines:
             return
         self._next = now + _EVERY
         done = f"{progress.evaluations}/{progress.budget}".removesuffix("/0")
-        doing = progress.doing or shares(progress)
         facts = pace.facts(progress), pace.left(progress)
-        note(_joined(self._what, done, *facts, doing, progress.remark))
+        note(_joined(self._what, done, *facts, shares(progress), progress.remark))
 
 
 @contextmanager
@@ -151,7 +146,7 @@ def _bar(what: str) -> Iterator[Report]:
 
         def report(progress: Progress) -> None:
             pace.note(progress)
-            bar.below = _joined(progress.doing or shares(progress), pace.left(progress))
+            bar.below = _joined(shares(progress), pace.left(progress))
             facts = pace.facts(progress)
             bar.update(line, total=progress.budget, completed=progress.evaluations, facts=facts)
 

@@ -128,6 +128,18 @@ class Comparison:
         each = zip(self.at().each, parts, strict=True)
         return [one.residual(*_taken(part[0])) for one, part in each]
 
+    def shown(self, image: Float32) -> Float32:
+        """A render (H, W, C) in the light of the target, and over it where it covers nothing."""
+        parts, seen = self.views.split(image[None]), []
+        for view, one, part in zip(self.views.views, self.at(0.0).each, parts, strict=True):
+            x, cover = _taken(part[0])
+            light = one.light(x, cover)
+            x = x if light is None else np.clip(light.applied(x), 0, 1)
+            if cover is not None:
+                x = view.target + _times(x - view.target, cover)
+            seen.append(np.asarray(x, np.float32))
+        return self.views.pack(seen)
+
     def leftovers(self, image: Float32) -> list[tuple[Float32, Float32, Float32 | None]]:
         """Of each view: the image (H, W, 3) in its light, the sharp target, weights (H, W)."""
         found = []

@@ -24,8 +24,7 @@ from fide_plugins.fitting.failures import (
     suspicion_of,
 )
 from fide_plugins.fitting.loop import Loop
-from fide_plugins.fitting.pictures import as_told, canonical, shown
-from fide_plugins.fitting.processes import Processes
+from fide_plugins.fitting.pictures import as_compared, as_told, best_compared, canonical, shown
 from fide_plugins.fitting.rendering import Failed, Outcome, Renderer
 from fide_plugins.fitting.result import Result, histories
 from fide_plugins.fitting.saved_run import SavedRun, Unsaved
@@ -39,7 +38,6 @@ from fide_plugins.uncertainty.at_answer import AtAnswer
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
-    from fide_plugins.learning.hypotheses import Rounds
     from fide_plugins.types import Float64, Solution
 
 __all__ = ["FitInterrupted", "Fitting"]
@@ -77,20 +75,18 @@ class Fitting:
         timeout: float | None = None,
         progress: object = None,
         checkpoint_every: float = 5.0,
-        rounds: Rounds | None = None,
         plan: Mapping[str, Any] | None = None,
         max_failures: float = 1.0,
     ) -> None:
         self.optimizer, self.record, self.saved = optimizer, record or Record(), saved
         self._renderer, self._workers, self._stopping = renderer, workers, stopping
         self._callbacks, self._timeout, self._progress = callbacks, timeout, progress
-        self._checkpoint_every, self._rounds, self._plan = checkpoint_every, rounds, plan or {}
+        self._checkpoint_every, self._plan = checkpoint_every, plan or {}
         self._failures = Failures(self.record.failures, max_failures)
         self._comparisons = optimizer.state.comparisons
         self._extremes = Extremes(optimizer.views)
-        for known in (self.record.first_image, self.record.image):
-            if known is not None:
-                self._extremes.note(known)
+        if self.record.image is not None:
+            self._extremes.note(self.record.image)
         self._done_before = self.record.evaluations
         self._render_seconds = 0.0  # of renders of this call's search that gave an image
         self._shown_at = 0.0
@@ -126,14 +122,11 @@ class Fitting:
             return self._end(stopped, interrupts, None)
 
     def _run(self) -> str:
-        """Learn and search; returns why the search has ended."""
+        """Search; returns why the search has ended."""
         loop = self._loop
         loop.stopped = loop.over()
         if loop.stopped is None and self._callbacks.call("on_start", self._as_run()):
             loop.stopped = "callback"
-        if loop.stopped is None and self._rounds is not None:
-            workers = self._workers.number if isinstance(self._workers, Processes) else 1
-            loop.learn(self._rounds, workers, self._report)
         return loop.run()
 
     # -- steps of the loop -------------------------------------------------------------------------
@@ -172,6 +165,8 @@ class Fitting:
         if better or r.first_image is None or self._extremes.wanted or self._callbacks:
             image = canonical(self.optimizer, outcome.image)
             self._extremes.note(image)
+        if r.first_image is None:
+            r.first_image = as_compared(self.optimizer, outcome.image)
         improved = r.add_one(X[0], image, loss)
         best, changes = self.optimizer.state.best, self.optimizer.state.comparisons
         if best is not None and changes != self._comparisons:
@@ -337,6 +332,8 @@ class Fitting:
         self._note_pending()
         searched = max(loop.search_ended - loop.search_began, 1e-9)
         record = self.record if loop.whole else None
+        adapts = optimizer.evaluator.comparison is not None
+        compared = best_compared(optimizer) if adapts else None
         return Result(
             best=best,
             params=None if best is None else self._renderer.params(best.x),
@@ -354,6 +351,7 @@ class Fitting:
             clipped=optimizer.clipped,
             value_range=optimizer.value_range,
             std_renders=self._std_renders,
+            compared=None if compared is None else shown(optimizer, compared),
             unsaved=Unsaved(optimizer, record, self._plan, stopped, solutions),
             **histories(self.record, optimizer.dim),
         )

@@ -17,9 +17,8 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -28,12 +27,9 @@ from fide_plugins.fitting.rendering import Failed, Task
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers import LOOK, Workers, late
 from fide_plugins.recording.directory import CheckpointTimer
-from fide_plugins.recording.record import Record, Report
+from fide_plugins.recording.record import Record
 from fide_plugins.recording.signals import Interrupts
 from fide_plugins.types import Float64, Optimizer
-
-if TYPE_CHECKING:
-    from fide_plugins.learning.hypotheses import Rounds
 
 __all__ = ["Loop", "Steps"]
 
@@ -114,26 +110,6 @@ class Loop:
         finally:
             self.search_ended = time.perf_counter()
         return stopped
-
-    def learn(self, rounds: Rounds, workers: int, report: Report | None) -> None:
-        """Learn before the search, which then begins with the model, unless that was done."""
-
-        def show(renders: int, doing: str) -> None:
-            self.tick()
-            if report is not None:
-                at = self.record.progress(self._stopping.budget or 0)
-                report(replace(at, evaluations=renders, doing=doing))
-
-        if not self.record.evaluations:
-            with self._interrupts.stoppable():
-                learned = rounds.learn(workers, show)
-            fide: Any = self.optimizer  # which alone begins with a model
-            fide.begin_with(learned.model, learned.renders)
-            self.tick()
-            self.record.add_unjudged(learned.renders)
-            self.search_began = self._clock
-            self._steps.save()
-        rounds.remove_renders()  # also where an earlier call was killed before that
 
     @property
     def busy(self) -> int:

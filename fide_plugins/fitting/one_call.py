@@ -17,7 +17,7 @@ from fide_plugins.fitting.result import Result
 from fide_plugins.fitting.saved_run import SavedRun, features_of, seed_there, settings_of
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers import default_number, workers_for
-from fide_plugins.learning.hypotheses import rounds_of, search_options
+from fide_plugins.learning.hypotheses import with_model
 from fide_plugins.options import check_known
 from fide_plugins.recording.sources import of_files, of_losses, of_models, of_weights
 from fide_plugins.recording.storage import is_saved
@@ -119,8 +119,7 @@ def fit(
         cannot be killed: it is forgotten, and missing until it ends.
     resume
         go on with the fit in `out`, if there is one.  `budget`, `time`, `stop_at`, `workers` and
-        the like may be others; what defines the fit must be the same, the budget too where
-        `preset` is "global".
+        the like may be others; what defines the fit must be the same.
     progress
         True: a bar; False: none; None: a bar in a terminal; or a function of a
         `recording.record.Progress`, which is called some ten times a second at most.
@@ -129,10 +128,7 @@ def fit(
         "auto": from the target, see `fide_plugins.views`.  Images come back in these values; losses
         are of images scaled to [0, 1].
     **options
-        options of `FIDE`, such as `loss`, `encoder`, `preset`, `weights`, `x0`.  `preset` may also
-        be "global": most of the budget, of at least 10,000 renders, teaches a model of the renderer
-        first.  Those renders count as evaluations, with a loss of infinity;
-        they are made in this process or in `workers` processes, without `timeout`.
+        options of `FIDE`, such as `loss`, `encoder`, `preset`, `weights`, `x0`.
 
     A render that raises, takes too long, loses its process, or returns something else than an image
     of the right size is withdrawn and counted; the first one is shown whole, as a warning.
@@ -211,10 +207,6 @@ def prepare(
     options = dict(options or {})
     check_names(options, _GIVEN, "is no option of the optimizer, but an argument of the fit")
     optimizer = _optimizer(render, target, space, seed, options, out if resume else None)
-    rounds = rounds_of(
-        render, space, optimizer.views.targets, options,
-        budget=stopping.budget, seed=optimizer.seed, out=out, seconds=stopping.seconds,
-    )  # fmt: skip
     renderer = Renderer(render, optimizer.space, raw=optimizer.value_range is not None)
     pool = workers_for(renderer, number, executor, limit)
     if check is not None:
@@ -224,7 +216,7 @@ def prepare(
     if out is not None:
         record = (saved := SavedRun(out, **plan, resume=resume, command=command)).begin(optimizer)
     return Fitting(
-        optimizer, renderer, pool, stopping, watchers, record, saved, plan=plan, rounds=rounds,
+        optimizer, renderer, pool, stopping, watchers, record, saved, plan=plan,
         timeout=limit, progress=progress, checkpoint_every=checkpoint_every,
         max_failures=max_failures,
     )  # fmt: skip
@@ -243,14 +235,14 @@ def _optimizer(
     if resumed is not None and seed is None:
         seed = seed_there(resumed)
     there = resumed is not None and is_saved(resumed)
-    return FIDE(space, target, seed=seed, **search_options(options, render, resumed=there))
+    return FIDE(space, target, seed=seed, **with_model(options, render, resumed=there))
 
 
 def _plan(
     render: Callable[[Any], object], optimizer: FIDE, stopping: Stopping, options: dict[str, Any]
 ) -> dict[str, Any]:
     name = own_name(render)
-    settings = settings_of(name, optimizer, options, stopping.budget)
+    settings = settings_of(name, optimizer, options)
     facts: dict[str, Any] = {}
     if callable(options.get("encoder")):  # others are known by name and version
         facts["features"] = features_of(optimizer)

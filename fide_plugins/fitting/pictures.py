@@ -14,7 +14,16 @@ from fide_plugins.validation.pixels import Clipping
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
 
-__all__ = ["as_told", "canonical", "counting", "picture", "shown", "side_by_side"]
+__all__ = [
+    "as_compared",
+    "as_told",
+    "best_compared",
+    "canonical",
+    "counting",
+    "picture",
+    "shown",
+    "side_by_side",
+]
 
 
 def as_told(optimizer: FIDE, image: Any) -> Any:
@@ -48,6 +57,23 @@ def canonical(optimizer: FIDE, image: Any) -> Float32:
     told = without_coverage(as_told(optimizer, image), optimizer.views.listed)
     packed: Float32 = optimizer.views.as_batch(told, 1, Clipping().note)[0]
     return packed
+
+
+def as_compared(optimizer: FIDE, image: Any) -> Float32:
+    """The same in the light of the target, and over it where it covers nothing."""
+    told, evaluator = as_told(optimizer, image), optimizer.evaluator
+    batch = evaluator.as_batch(1, told, np.zeros(1), None, Clipping().note)
+    assert batch is not None  # an image was given
+    return evaluator.shown(batch[0])
+
+
+def best_compared(optimizer: FIDE) -> Float32 | None:
+    """The best image (H, W, 3), packed, as `as_compared`; None without one."""
+    best, kept = optimizer.state.best, optimizer.state.kept
+    if best is None or best.solution.image is None:
+        return None
+    image = best.solution.image if kept is None else kept.image_of(best.solution)
+    return optimizer.evaluator.shown(image)
 
 
 def shown(optimizer: FIDE, image: Float32) -> Any:

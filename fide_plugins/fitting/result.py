@@ -65,8 +65,7 @@ class Result:
         in [0, 1]; None without constraints, and of a result that was read.
     seconds: of fitting, likewise.
     busy: fraction of the time of this call's search that its workers rendered, in [0, 1].  It
-        counts renders that gave an image, and nothing of what `preset="global"` does before the
-        search.  NaN of a result that was read.
+        counts renders that gave an image.  NaN of a result that was read.
     stopped: why it ended: "solved", "noise", "stalled" (see `fit`), "budget", "time", "stop_at",
         "callback", "interrupted" or "failed"; of a run that was read also "running", and "finished"
         where it has one rule only.
@@ -74,6 +73,8 @@ class Result:
     std_renders: renders around the answer at the end, beside the evaluations, from which
         `best.std` is computed; 0: it is rough, from samples of the search, or was read.
     value_range: values of target and images that are black and white; None: 0 and 1.
+    compared: best image as it is compared, where that is another picture than `best.image`: in the
+        light of the target, and over it where the renderer says that it covers nothing.
     unsaved: what `save` writes, of a fit that has just ended.
     """
 
@@ -100,6 +101,7 @@ class Result:
     value_range: tuple[float, float] | None = None
     unsaved: Unsaved | None = None
     rejected: float | None = None
+    compared: Any = None
 
     @cached_property
     def optimizer(self) -> Any:
@@ -221,7 +223,7 @@ class Result:
         target = self._shown(self.target)
         panels = [Panel("target", target)]
         if self.best is not None and self.best.image is not None:
-            image = self._shown(self.best.image)
+            image = self._shown(self.best.image if self.compared is None else self.compared)
             apart = difference(target, image, counting(self.weights, self.target))
             panels += [Panel("best", image), Panel(f"{GAIN}x difference", apart)]
         return panels

@@ -19,10 +19,9 @@ import numpy as np
 
 from fide_plugins.errors import FideError, ImageError, OptionError
 from fide_plugins.fide import FIDE
-from fide_plugins.fitting.pictures import counting, picture, shown, side_by_side
+from fide_plugins.fitting.pictures import best_compared, counting, picture, shown, side_by_side
 from fide_plugins.fitting.result import Result, histories, optimizer_in
-from fide_plugins.options import GLOBAL
-from fide_plugins.recording.directory import TARGET_VALUES, RunDirectory, try_each
+from fide_plugins.recording.directory import RunDirectory, try_each
 from fide_plugins.recording.parameters import read_solutions, solutions_as_data
 from fide_plugins.recording.record import Record, RunResult, Verdict, result_of
 from fide_plugins.recording.storage import RunDirectoryError, is_saved, read_record, read_run
@@ -38,6 +37,8 @@ from fide_plugins.validation.pixels import ValueRange, restored, value_range_of
 _RELATIVE, _ABSOLUTE = 1e-3, 1e-6  # by which losses and features may differ between machines
 _CONTENTS = ("mask", "weights", "value_range")
 """Options that are recorded by what they are, not as they are given."""
+_ADAPTS = ("photo", "photometric", "robust", "background")
+"""Options with which images are not compared as they are."""
 
 
 class SavedRun:
@@ -119,8 +120,9 @@ class SavedRun:
         self._directory.save(record, optimizer, *self._best(record, optimizer))
 
     def _best(self, record: Record, optimizer: FIDE) -> tuple[Float32 | None, Float32 | None]:
-        best = None if record.image is None else picture(optimizer, record.image)
-        return best, _in_user_values(optimizer, record.image)
+        best = None if record.image is None else best_compared(optimizer)
+        shown = None if best is None else picture(optimizer, best)
+        return shown, _in_user_values(optimizer, best)
 
     def write_tables(self, record: Record, optimizer: FIDE) -> None:
         """Write the tables and the best image."""
@@ -161,7 +163,7 @@ class SavedRun:
     def _write_summary(self, result: RunResult, optimizer: FIDE) -> None:
         first, best = (
             None if image is None else picture(optimizer, image)
-            for image in (result.first_image, result.image)
+            for image in (result.first_image, result.reference)
         )
         shown = replace(result, first_image=first, image=best, reference=best)
         target = picture(optimizer, optimizer.evaluator.target)
@@ -201,15 +203,13 @@ class Unsaved:
             saved.leave(state, self.stopped, record, optimizer, self.solutions)
 
 
-def settings_of(
-    name: str, optimizer: FIDE, options: Mapping[str, Any], budget: int | None
-) -> dict[str, Any]:
+def settings_of(name: str, optimizer: FIDE, options: Mapping[str, Any]) -> dict[str, Any]:
     """What defines a fit.
 
     name: of what renders; options: of the optimizer, as the user gave them.  Arrays are recorded by
     their digest, mask and weights by that of their product; a starting point, its width and groups
     as the optimizer has made them, in whatever form they were given.  The budget is a limit, which
-    may change, unless rounds of learning divide it.
+    may change.
     """
     target = optimizer.evaluator.target
     space = optimizer.space
@@ -236,7 +236,6 @@ def settings_of(
         "weights": _recorded(optimizer.weights),
         "loss": optimizer.evaluator.loss.name,
         "seed": optimizer.seed,
-        **({"budget": budget} if options.get("preset") == GLOBAL else {}),
     }
 
 
@@ -270,7 +269,7 @@ def _verdict(record: Record, optimizer: FIDE) -> Verdict:
 
     Its squared error counts views and weights as the loss "mse" does.
     """
-    image = record.image
+    image = None if record.image is None else best_compared(optimizer)
     if image is None:
         return Verdict()
     return Verdict(image, record.best_loss, optimizer.views.squared_error(image))
@@ -335,18 +334,21 @@ def _read(path: Path, run: dict[str, Any]) -> Result:
     known = _known(path, settings, totals, dim, space)
     values = _values(settings)
     best = _best(record, known.solutions, space, views, values)
+    adapts = any((settings.get("options") or {}).get(name) for name in _ADAPTS)
+    compared = _picture(path, "best", views, values) if adapts and best is not None else None
     return Result(
         best=best,
         params=None if best is None else best.params or totals.get("params") or best.x.copy(),
         solutions=known.solutions if best is None else [best, *known.solutions[1:]],
         status=known.status,
-        target=_target(path, views, values),
+        target=_picture(path, "target", views, values),
         weights=known.weights,
         loss=str(settings.get("loss")),
         failures=record.failures,
         clipped=int(totals.get("clipped", 0)),
         value_range=None if values is None else (values.low, values.high),
         first_failure=None,
+        compared=compared,
         busy=math.nan,
         stopped=str((totals and run.get("stopped")) or run.get("state")),
         out=path,
@@ -431,22 +433,19 @@ def unpacked(image: Float32, views: Any) -> Any:
     return [part.reshape(*size, 3) for part, size in zip(parts, views, strict=True)]
 
 
-def _target(path: Path, views: Any, values: ValueRange | None) -> Any:
-    """Target in the user's values, or targets; of a run of an earlier version rounded to 8 bits."""
-    file = path / TARGET_VALUES
+def _picture(path: Path, name: str, views: Any, values: ValueRange | None) -> Any:
+    """A picture of the run, or those of its views, in the user's values."""
+    file = path / f"{name}.tif"
     if values is None or not file.exists():
-        return restored(_cut(_picture(path / "target.png"), views), values)
+        file = path / f"{name}.png"
+        if file.exists():
+            files.check_regular(file)  # Pillow would wait for a pipe
+        return restored(_cut(images.load(file), views), values)
     files.check_regular(file)
     pixels = image_files.read_pixels(file, None, raw=True)
     if pixels.dtype != np.float32 or pixels.shape[2:] != (3,) or not np.isfinite(pixels).all():
         raise ImageError(f"{file} is no picture of finite 32-bit floats in RGB; copy it back")
     return _cut(pixels, views)
-
-
-def _picture(path: Path) -> Float32:
-    if path.exists():
-        files.check_regular(path)  # Pillow would wait for a pipe
-    return images.load(path)
 
 
 def _cut(picture: Float32, views: Any) -> Any:

@@ -17,7 +17,7 @@ file            idea
 `clutter`       backgrounds, occluders and shadows for renders that say what they cover
 `judging`       a trained network is calibrated and measured
 `model`         hypotheses, density, one file
-`hypotheses`    what a search is given of it; ``preset="global"``: two rounds, and then the search
+`hypotheses`    what a search is given of it
 ==============  ================================================================================
 """
 

@@ -18,7 +18,7 @@ from fide_plugins.errors import CheckpointError, ImageError, ModelNotFoundError,
 from fide_plugins.learning.emulator import Emulator, inverted
 from fide_plugins.learning.judging import LARGEST_SCALE, Distance, Familiarity, Report
 from fide_plugins.learning.networks import HEADS, Network, as_input
-from fide_plugins.learning.renders import Pixels, pixels_of, same_aspect
+from fide_plugins.learning.renders import pixels_of, same_aspect
 from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.schema import (
     IMPOSSIBLE,
@@ -46,7 +46,6 @@ from fide_plugins.validation.points import as_points, torch_seed, whole_number
 __all__ = ["Model"]
 
 _KIND = "learned model"
-_ROUNDING = 2.0  # of 255, on average; different poses of a robot differ by 3, cells by 60
 _SCHEMA: Schema = {
     "dim": whole(1, 2**20),
     "space": maybe(table(anything)),
@@ -63,7 +62,6 @@ _SCHEMA: Schema = {
     "scale": real(1.0, LARGEST_SCALE),
     "familiarity": {"mean": array("F"), "precision": array("F", "F"), "threshold": real(0.0)},
     "report": table(anything),
-    "picture": maybe(array("height", "width", 3, kind="u")),
 }
 
 
@@ -87,8 +85,6 @@ class Model:
     familiarity: of features.
     report: how good it is.
     emulator: learned renderer; None: there is none.
-    picture: (h, w, 3) as the network sees it, of which a second round has learned; None: there was
-        no second round.
     """
 
     network: Network
@@ -103,7 +99,6 @@ class Model:
     report: Report
     fingerprint: str | None = None
     emulator: Emulator | None = None
-    picture: Pixels | None = None
 
     def __repr__(self) -> str:
         height, width = self.size
@@ -193,17 +188,6 @@ class Model:
             "familiar)"
         )
 
-    def is_of_another(self, picture: object) -> bool:
-        """Whether a second round has learned another picture than this one.
-
-        Rounding and compression make no other picture, and neither does another size of the same
-        one, unless it has hardly more pixels than the network sees, or was made without averaging.
-        """
-        if self.picture is None:
-            return False
-        here = 255 * self._input(picture)[0].permute(1, 2, 0).numpy()
-        return bool(np.abs(here - self.picture).mean() > _ROUNDING)
-
     @_full_precision()
     def _vector(self, picture: object) -> Float64:
         vector: Float64 = self.network.vectors(self._input(picture))[0].numpy().astype(np.float64)
@@ -271,7 +255,6 @@ class Model:
             "scale": self.network.scale,
             "familiarity": self.familiarity.state_dict(),
             "report": self.report.state_dict(),
-            "picture": self.picture,
         }
         checkpoint.write(path, _KIND, state)
 
@@ -298,15 +281,12 @@ class Model:
 
     @classmethod
     def _of(cls, state: Mapping[str, Any]) -> Self:
-        state = {"picture": None, **state}  # models of earlier versions have none
         check(state, _SCHEMA, {}, "model")
         check(state["report"]["emulated"], maybe(real()), {}, "model['report']['emulated']")
         blocks = tuple(tuple(block) for block in state["blocks"])
         if state["head"] not in HEADS or len(state["periodic"]) != state["dim"]:
             raise ValueError("its head or its axes are none")
         (height, width), (h, w) = state["shape"], state["size"]
-        if state["picture"] is not None and state["picture"].shape[:2] != (h, w):
-            raise ValueError("its picture has another size than the renders")
         network = Network((h, w), state["periodic"], state["head"], blocks)
         network.load(state["weights"])
         network.scale = float(state["scale"])
@@ -328,7 +308,6 @@ class Model:
             Report.from_state(state["report"]),
             state["fingerprint"],
             emulator,
-            state["picture"],
         )
         str(model.report)  # raises for one that says nothing
         gray = torch.full((1, 3, h, w), 0.5, dtype=torch.float32)  # whatever the default is

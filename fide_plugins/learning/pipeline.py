@@ -1,15 +1,7 @@
-"""`learn`: its arguments are checked, a plan is made of them and carried out.
-
-A second round (`Truncated`) renders where a model's posterior of one picture is: the prior, cut to
-where the density is above a quantile of that of samples (truncated sequential neural posterior
-estimation, Deistler et al. 2022, arXiv:2210.04815).  Within the region points are drawn as the
-prior draws them, so a network that learns them and those of the first round by plain maximum
-likelihood goes on to learn the posterior: there the mixture of both is the prior times a constant.
-"""
+"""`learn`: its arguments are checked, a plan is made of them and carried out."""
 
 from __future__ import annotations
 
-import hashlib
 import math
 import os
 import time as clock
@@ -17,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import torch
@@ -31,7 +23,6 @@ from fide_plugins.learning.model import Model
 from fide_plugins.learning.networks import HEADS, Network
 from fide_plugins.learning.rendering import all_equal, check_workers, fill, too_few
 from fide_plugins.learning.renders import (
-    SHARD,
     BatchRenderer,
     Pixels,
     RenderStore,
@@ -39,18 +30,16 @@ from fide_plugins.learning.renders import (
     check_images,
     check_room,
     folder_of,
-    pixels_of,
     small_size,
     version_for,
 )
 from fide_plugins.learning.training import Progress, Resumable, Training
-from fide_plugins.runtime.devices import digest, is_out_of_gpu_memory, resolve_device
+from fide_plugins.runtime.devices import is_out_of_gpu_memory, resolve_device
 from fide_plugins.runtime.messages import warn_user
 from fide_plugins.runtime.registry import fingerprint_of
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.space import Space
-from fide_plugins.types import Float64, Indices
-from fide_plugins.validation.images import as_target
+from fide_plugins.types import Float64
 from fide_plugins.validation.options import not_negative, seconds_of
 from fide_plugins.validation.points import torch_seed, whole_number
 
@@ -110,81 +99,6 @@ def has_emulator(
     return bool(blocks) and not clutter if emulator is None else emulator
 
 
-_OUTSIDE = 0.02  # of the posterior's samples; with less the tails of a young model fill the cube
-_SAMPLES = 5000  # that say where the region ends
-_DRAWN = 16  # samples of which one is chosen
-
-
-class Truncated:
-    """The prior within the region of a model's posterior of a picture.
-
-    store: renders of the model, of the whole cube.
-    seed: of its points.
-    """
-
-    def __init__(self, model: Model, picture: object, store: RenderStore, seed: int) -> None:
-        self.model, self.picture, self.store, self._seed = model, as_target(picture), store, seed
-        samples = model.sample(self.picture, _SAMPLES, _seed(seed, 0))
-        self.threshold = float(np.quantile(model.log_prob(self.picture, samples), _OUTSIDE))
-        """Logarithm of the density at the end of the region, in nats."""
-
-    @classmethod
-    def read(cls, after: str | os.PathLike[str], picture: object, seed: int) -> Self:
-        """Region of a model's file, with its renders beside it.
-
-        Warns of a picture unlike all renders.  Raises OSError, CheckpointError, ImageError;
-        OptionError without the renders, or where the model is one of a second round.
-        """
-        model, folder = Model.load(after), Path(f"{os.fspath(after)}.renders")
-        if not (folder / "settings").exists():
-            raise OptionError(f"the renders of the model {os.fspath(after)} are missing: {folder}")
-        store = RenderStore.open(folder)
-        if "picture" in store.settings:
-            raise OptionError(
-                f"{os.fspath(after)} has learned the region of one picture; after=MODEL needs a "
-                "model of the whole space"
-            )
-        far = model.unfamiliarity(picture)
-        if far > 1:
-            warn_user(f"{model.unlike_all(far)}: a second round renders where that model guesses")
-        return cls(model, picture, store, seed)
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """What its points depend on, besides the seed: digests of network and picture."""
-        pixels = hashlib.sha256(np.ascontiguousarray(self.picture).tobytes())
-        return {"after": digest(self.model.network), "picture": pixels.hexdigest()[:16]}
-
-    def parameters(self, shard: int) -> Float64:
-        """Points (SHARD, d) of a shard; the same points for the same shard."""
-        return self.points(SHARD, _seed(self._seed, 1 + shard))
-
-    def points(self, n: int, seed: int) -> Float64:
-        """Points (n, d) of the region, nearly uniform."""
-        drawn = self.model.sample(self.picture, _DRAWN * n, seed)
-        density = self.model.log_prob(self.picture, drawn)
-        inside = density >= self.threshold
-        rng = np.random.default_rng(seed)
-        return drawn[inside][choose_evenly(density[inside], n, rng)]
-
-    def renders(self) -> tuple[Float64, Pixels]:
-        """Parameters (n, d) and images (n, H, W, 3) of the first round."""
-        return self.store.read_all()
-
-
-def choose_evenly(density: Float64, n: int, rng: np.random.Generator) -> Indices:
-    """Which n of the points with these logarithms of a density (m,) are as if drawn uniformly.
-
-    Without repetition, with weights 1 / density, by Gumbel's trick.
-    """
-    keys = rng.gumbel(size=len(density)) - density
-    return np.argpartition(-keys, n - 1)[:n]
-
-
-def _seed(seed: int, number: int) -> int:
-    return int(np.random.default_rng((seed, 3, number)).integers(2**62))
-
-
 FEWEST = 100
 """Renders that are needed."""
 _RENDERING = 0.5  # of a time limit, at most
@@ -216,7 +130,6 @@ class Plan:
     shape, size: (H, W) of an image, and of what the network sees.
     seconds, start: time limit, and the monotonic clock when it began; None: no limit.
     emulates: whether a learned renderer is trained, too.
-    region: where a second round renders; None for a first one.
     The rest: arguments of `pipeline.learn`, checked.
     """
 
@@ -238,36 +151,18 @@ class Plan:
     device: torch.device
     emulates: bool
     clutter: Clutter | None = None
-    region: Truncated | None = None
 
     def check(self, store_limit: float) -> None:
         """Raise OptionError where it cannot be carried out; store_limit: GiB of renders."""
-        self._check_region()
         if self.workers > 1 or self.executor is not None:
             check_workers(self.renderer, self.workers, self.executor)
         check_room(self.settings, self.renders, store_limit * 2**30)
-
-    def _check_region(self) -> None:
-        """Raise OptionError where the renders of a first round do not fit this one."""
-        if self.region is None:
-            return
-        self.region.model.check_space(self.renderer.space or self.renderer.dim)
-        there = self.region.store.settings
-        for name in ("renderer", "size", "version", "coverage"):
-            one, other = there.get(name), self.settings.get(name)
-            first = name == "version" and one is None  # stated now: images are compared
-            if one != other and not first:
-                raise OptionError(
-                    f"the {name} of the model is {one!r}, and here {other!r}: both rounds must "
-                    "have the same"
-                )
 
     @property
     def settings(self) -> dict[str, Any]:
         """What the renders are of."""
         space = self.renderer.space
         return {
-            **({} if self.region is None else self.region.settings),
             **({"coverage": True} if self.renderer.coverage else {}),
             "dim": self.renderer.dim,
             "size": list(self.size),
@@ -280,8 +175,7 @@ class Plan:
     def model(self, store: RenderStore) -> Model:
         """Render, train and judge."""
         more = bool(store.missing(self.renders))
-        for there in [store] if self.region is None else [self.region.store, store]:
-            check_images(there, self.renderer, more)
+        check_images(store, self.renderer, more)
         fill(
             store,
             self.renderer,
@@ -296,9 +190,6 @@ class Plan:
         if len(x) < FEWEST:
             store.remove([*failed])  # so that a renderer that was mended renders them
             raise too_few(len(x), FEWEST, sum(failed.values()), self.renders)
-        if self.region is not None:
-            earlier = self.region.renders()
-            x, images = np.concatenate([earlier[0], x]), np.concatenate([earlier[1], images])
         if all(np.array_equal(image, images[0]) for image in images):
             store.remove_image(images[0])
             raise all_equal(self.renderer.name, len(images))
@@ -316,7 +207,6 @@ class Plan:
             periodic=self.renderer.periodic, blocks=self.blocks,
             familiarity=familiarity_of(network, density), report=report,
             fingerprint=fingerprint_of(self.renderer.source), emulator=emulator,
-            picture=None if self.region is None else pixels_of(self.region.picture, self.size),
         )  # fmt: skip
 
     @torch.inference_mode(False)  # the caller may be in it, or in `no_grad`
@@ -424,8 +314,6 @@ def learn(
     seed: int | None = 0,
     store_limit: float = 20.0,
     device: str | torch.device = "auto",
-    after: str | os.PathLike[str] | None = None,
-    picture: object = None,
     backgrounds: str | os.PathLike[str] | Sequence[object] | None = None,
     clutter: bool | None = None,
     on_progress: Callable[[LearnProgress], None] | None = None,
@@ -487,10 +375,6 @@ def learn(
         where the network trains: "auto" takes CUDA if there is some.  The model computes on the
         CPU, whatever trained it.  A training goes on wherever it is continued, but results of
         another device differ.
-    after, picture
-        for a second round: file of a model, with its renders beside it.  New renders are drawn
-        where its posterior of the picture is, see `Truncated`, and learned with the old
-        ones.  What comes of it is a model of that picture.
     backgrounds
         what photographs have behind the object: a folder of pictures, a list of them, or
         "generated".  Each pass puts every render onto other parts of them; `render` says what it
@@ -510,8 +394,8 @@ def learn(
         folder of renders holds others: their settings differ, or the renderer's images do, see
         `learning.renders`; or another call is learning the same file.
     CheckpointError
-        a ValueError: a file is damaged, or of something else: a shard of renders, a training that
-        was interrupted, or the model `after`.
+        a ValueError: a file is damaged, or of something else: a shard of renders, or a training
+        that was interrupted.
     RenderError
         a RuntimeError: the renderer fails, or its images are all equal.
     DeviceMemoryError
@@ -531,7 +415,6 @@ def learn(
     version, (head, blocks) = version_for(renderer, version), kind_of(renderer, groups, head)
     composed = clutter_of(backgrounds, clutter, seed)
     emulates = has_emulator(emulator, blocks, composed is not None)
-    region = _region(after, picture, seed)
     shape, coverage = renderer.first_shape()
     if composed is not None and not coverage:
         composed = _without_coverage(composed, backgrounds)
@@ -541,7 +424,7 @@ def learn(
         renders=renders, passes=passes, workers=workers, executor=executor, seed=seed,
         version=version, head=head, blocks=blocks, seconds=seconds, start=clock.monotonic(),
         on_progress=on_progress or (lambda progress: None), augment=augment, device=trains_on,
-        emulates=emulates, clutter=composed, region=region,
+        emulates=emulates, clutter=composed,
     )  # fmt: skip
     plan.check(store_limit)
     return _model_of(plan, out)
@@ -550,9 +433,8 @@ def learn(
 def _model_of(plan: Plan, out: str | os.PathLike[str] | None) -> Model:
     """The model of a plan, saved where that is asked for."""
     with folder_of(out) as folder:
-        draw = None if plan.region is None else plan.region.parameters
         source = fingerprint_of(plan.renderer.source)
-        model = plan.model(RenderStore(folder, plan.settings, source, draw))
+        model = plan.model(RenderStore(folder, plan.settings, source))
     if out is not None:
         model.save(out)
     return model
@@ -566,13 +448,6 @@ def _without_coverage(clutter: Clutter, backgrounds: object) -> Clutter:
             "image and its coverage (H, W) in [0, 1]; or give clutter=True without backgrounds"
         )
     return replace(clutter, backgrounds=(), name="clutter without backgrounds")
-
-
-def _region(after: str | os.PathLike[str] | None, picture: object, seed: int) -> Truncated | None:
-    """Where a second round renders; None for a first one."""
-    if (after is None) != (picture is None):
-        raise OptionError("a second round needs both: after=MODEL and picture=PICTURE")
-    return None if after is None else Truncated.read(after, picture, seed)
 
 
 def _check(

@@ -20,13 +20,13 @@ import math
 import os
 import re
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from inspect import signature
 from pathlib import Path
-from typing import Any, Self, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -273,7 +273,6 @@ SHARD = 100
 _KIND = "renders"
 _LOCK = ".learn.lock"
 _NUMBER = re.compile("[0-9]{6,}")
-_DIGESTS = {"after": "they were made after another model", "picture": "they are of another picture"}
 
 
 class RenderStore:
@@ -283,7 +282,6 @@ class RenderStore:
     settings: plain values that define the renders: "dim", "size", "seed" and more.
     fingerprint: of the renderer, for a new folder, see `runtime.registry`; None where nothing
         is known.  That of an earlier folder stays until it is replaced, see `accept`.
-    draw: parameters (SHARD, d) of a shard; None: uniform in the unit cube.
 
     Raises OptionError if the folder holds other renders, naming the difference; OSError if it
     cannot be written.
@@ -294,10 +292,8 @@ class RenderStore:
         folder: str | os.PathLike[str],
         settings: Mapping[str, Any],
         fingerprint: str | None = None,
-        draw: Callable[[int], Float64] | None = None,
     ) -> None:
         self.folder, self.settings = Path(folder), dict(settings)
-        self._draw, self._drawn = draw or self._uniform, dict[int, Float64]()
         self.folder.mkdir(parents=True, exist_ok=True)
         self.fingerprint, self.version = fingerprint, self.settings.get("version")
         self._agreed = False  # whether the folder's settings are known to be these
@@ -322,13 +318,6 @@ class RenderStore:
         self.fingerprint, self.version = fingerprint, self.settings.get("version")
         self._agreed = True
 
-    @classmethod
-    def open(cls, folder: str | os.PathLike[str]) -> Self:
-        """Renders of a folder as they are; raises OSError or CheckpointError."""
-        settings = checkpoint.read(Path(folder) / "settings", _KIND)
-        settings.pop("fingerprint", None)
-        return cls(folder, settings)
-
     @property
     def size(self) -> tuple[int, int]:
         """Height and width of the images."""
@@ -342,11 +331,6 @@ class RenderStore:
 
     def parameters(self, shard: int) -> Float64:
         """Parameters (SHARD, d) of a shard, the same each time."""
-        if shard not in self._drawn:
-            self._drawn[shard] = self._draw(shard)
-        return self._drawn[shard]
-
-    def _uniform(self, shard: int) -> Float64:
         rng = np.random.default_rng((self.settings["seed"], shard))
         return rng.random((SHARD, self.settings["dim"]))
 
@@ -374,7 +358,6 @@ class RenderStore:
                 self.accept(self.fingerprint)
         with atomic_writer(self._path(shard)) as file:
             np.savez(file, x=self.parameters(shard)[good], images=pixels)
-        del self._drawn[shard]
         return int((~good).sum())
 
     def examples(self, most: int) -> tuple[Float64, list[int], Pixels]:
@@ -397,7 +380,7 @@ class RenderStore:
         """Points, seeds and images of a shard, evenly from its renders."""
         x, images = self._read(shard)
         rows = sorted({k * len(x) // most for k in range(most)}) if len(x) else []
-        drawn, seeds = self._draw(shard), self.noise_seeds(shard)
+        drawn, seeds = self.parameters(shard), self.noise_seeds(shard)
         nearest = [int(np.abs(drawn - x[row]).max(axis=1).argmin()) for row in rows]
         return x[rows], [seeds[i] for i in nearest], images[rows]
 
@@ -439,10 +422,6 @@ class RenderStore:
             images[start : start + len(some)] = some
             start += len(some)
         return x[:renders], images[:renders]
-
-    def read_all(self) -> tuple[Float64, Pixels]:
-        """As `read`, of all shards."""
-        return self.read(SHARD * (max(self._all(), default=-1) + 1))
 
     def _all(self) -> list[int]:
         """Numbers of all shards that are there."""
@@ -534,14 +513,8 @@ def _check_same(folder: Path, there: Mapping[str, Any], asked: Mapping[str, Any]
 def _differences(there: Mapping[str, Any], asked: Mapping[str, Any]) -> Iterator[str]:
     for name in sorted({*there, *asked}):
         old, new = there.get(name), asked.get(name)
-        if old == new:
-            continue
-        if name not in _DIGESTS:
+        if old != new:
             yield f"its {name} is {old!r}, not {new!r}"
-        elif old is not None and new is not None:
-            yield _DIGESTS[name]
-        elif name == "after":  # then only one of both has a picture, too
-            yield f"they are of a {'first' if old is None else 'second'} round"
 
 
 # -- identity --------------------------------------------------------------------------------------

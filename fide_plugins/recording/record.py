@@ -59,13 +59,11 @@ class Keep:
     """What a run records in addition to the losses; none of it counts as time of the run.
 
     metrics: names of losses that also measure every image that improves on the best loss.
-    film: small best images after 1, 3, 10, 30, ... renders; needs a run directory.
     summary: a figure of the whole run, summary.png.
     checkpoint: whether to keep the checkpoint of a finished run.
     """
 
     metrics: tuple[str, ...] = ()
-    film: bool = False
     summary: bool = True
     checkpoint: bool = True
 
@@ -78,7 +76,6 @@ class Progress:
     best_loss: lowest loss so far; infinity before the first finite loss.
     wall_s: seconds so far, without interruptions.
     times: seconds by `PARTS`; the loop itself takes the rest.
-    doing: what is done before the search, such as "first model, pass 2/10"; then "".
     remark: what else is known, such as "3 rendering, 1 failed".
     time: seconds that are allowed; None: no limit.
     """
@@ -88,7 +85,6 @@ class Progress:
     best_loss: float
     wall_s: float
     times: dict[str, float]
-    doing: str = ""
     remark: str = ""
     time: float | None = None
 
@@ -102,8 +98,8 @@ class RunResult:
     """Result and cost of a run.
 
     Times are in seconds, without interruptions; `overhead_s` is all time except rendering.
-    `judge_s` is the time of the noise-free evaluation after the run, `watch_s` that of metrics and
-    film; no other time includes them.
+    `judge_s` is the time of the noise-free evaluation after the run, `watch_s` that of metrics;
+    no other time includes them.
 
     task, optimizer, loss: their names.
     seed, task_seed: of the optimizer, and of the target; None for a picture of the user's.
@@ -124,7 +120,6 @@ class RunResult:
     metrics: other losses of these improvements by name, (m,).
     judged: other losses of the reference image by name.
     generations: (g,), number of candidates of each generation.
-    samples: sum of the samples per pixel of all renders if their number rises; else None.
     status: what the optimizer knows of the run; None where it does not say.
     params: of x_best, by name and in their units; None without a space.
     """
@@ -158,7 +153,6 @@ class RunResult:
     metrics: dict[str, Float64]
     judged: dict[str, float]
     generations: npt.NDArray[np.int64]
-    samples: int | None = None
     status: Status | None = None
     params: dict[str, Any] | None = None
 
@@ -200,7 +194,6 @@ class RunResult:
             "judge_s": self.judge_s,
             "watch_s": self.watch_s,
             "times": self.times,
-            **({} if self.samples is None else {"samples": self.samples}),
             **({} if self.params is None else {"params": self.params}),
             **({} if self.status is None else self.status.to_dict()),
         }
@@ -215,7 +208,6 @@ class Record:
     path: (dim,), point of each improvement; shorter for a run that an earlier version began.
     generations: number of candidates of each generation.
     pending: (m, dim), candidates that were asked and not yet told.
-    fidelity: state of `Fidelity`, if the number of samples per pixel rises.
     failures: renders that gave no image, where a run survives them.
     """
 
@@ -234,7 +226,6 @@ class Record:
     image: Float32 | None = None
     first_image: Float32 | None = None
     pending: Float64 | None = None
-    fidelity: dict[str, Any] | None = None
     failures: int = 0
 
     @property
@@ -275,18 +266,15 @@ class Record:
         return improved
 
     def judge_best(self, best: Solution) -> None:
-        """Replace the best candidate, after images began to be compared in another way."""
+        """Replace the best candidate, after images began to be compared in another way.
+
+        Of all others the losses are of the old comparison, and become infinite.
+        """
+        self.losses = array("d", [math.inf]) * self.evaluations
+        self.losses[best.evaluation] = best.loss
+        self.improvements, self.path = array("q", [best.evaluation]), [best.x.copy()]
         self.best_loss, self.best_evaluation = best.loss, best.evaluation
         self.x_best, self.image = best.x.copy(), best.image
-
-    def add_unjudged(self, renders: int) -> None:
-        """Add renders that were learned from and not compared with the target: a loss of infinity.
-
-        They count as evaluations.
-        """
-        self.losses.extend([math.inf] * renders)
-        self.seconds.extend([self.wall_s] * renders)
-        self.generations.append(renders)
 
     @contextmanager
     def timing(self, optimizer: Optimizer) -> Iterator[None]:
@@ -303,10 +291,6 @@ class Record:
     def progress(self, budget: int) -> Progress:
         """Progress towards a budget; 0 where there is none."""
         return Progress(self.evaluations, budget, self.best_loss, self.wall_s, dict(self.times))
-
-    def judge_again(self, image: Float32, loss: float) -> None:
-        """Replace image and loss of the best candidate by those of another render."""
-        self.image, self.best_loss = image.copy(), loss if math.isfinite(loss) else math.inf
 
     def state(self) -> dict[str, Any]:
         """State for a checkpoint."""
@@ -367,7 +351,6 @@ def result_of(
     verdict: Verdict,
     *,
     budget: int,
-    samples: int | None = None,
     status: Status | None = None,
     space: object = None,
 ) -> RunResult:
@@ -407,7 +390,6 @@ def result_of(
         metrics={name: np.array(values) for name, values in r.metrics.items()},
         judged=dict(verdict.metrics),
         generations=_evaluated(np.array(r.generations, np.int64), r.evaluations),
-        samples=samples,
         status=status,
         params=_params(there or space, r.x_best),
     )
@@ -425,16 +407,6 @@ def _evaluated(asked: NDArray[np.int64], evaluations: int) -> NDArray[np.int64]:
 
 
 _IMAGE = maybe(numbers("H", "W", 3, low=0.0, high=1.0))
-_FIDELITY: Schema = {
-    "rule": {
-        "number": whole(1),
-        "since": whole(),
-        "halves": numbers("pairs", low=0.0),
-        "spreads": numbers("spreads", low=0.0),
-    },
-    "level": whole(),
-    "total": whole(),
-}
 _RECORD: Schema = {
     "losses": numbers("e", low=None),
     "seconds": numbers("e", low=0.0),
@@ -451,7 +423,6 @@ _RECORD: Schema = {
     "image": _IMAGE,
     "first_image": _IMAGE,
     "pending": maybe(numbers("p", "d", low=0.0, high=1.0)),
-    "fidelity": maybe(_FIDELITY),
     "failures": whole(),
 }
 

@@ -9,6 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fide_plugins.fitting.pictures import best_compared, picture
 from fide_plugins.recording.directory import LIVE
 from fide_plugins.renderers.naming import flat
 from fide_plugins.runtime import files
@@ -46,7 +47,9 @@ class LiveFile:
     def on_evaluation(self, event: Event) -> None:
         """Write what is known at an event, unless that was done just now."""
         known = self._improvements[-1][1] if self._improvements else float("inf")
-        if event.best_loss < known:
+        if event.best_loss > known:  # images are compared in another way from now on
+            self._improvements.clear()
+        if event.best_loss != known:
             self._new_best = True
             self._improvements.append((event.evaluation + 1, event.best_loss))
             if len(self._improvements) > _MOST:
@@ -81,12 +84,11 @@ class LiveFile:
         if self._out is None:
             return
         with suppress(OSError):
-            best = event.optimizer.state.best if self._new_best else None
-            if best is not None and best.solution.image is not None:
-                from fide_plugins.fitting.pictures import picture
+            best = best_compared(event.optimizer) if self._new_best else None
+            if best is not None:
                 from fide_plugins.recording.figures import as_png
 
-                image = as_png(picture(event.optimizer, best.solution.image))
+                image = as_png(picture(event.optimizer, best))
                 files.write_bytes(self._out / "best.png", image)
                 self._new_best = False
             files.write_text(self._out / LIVE, json.dumps(self._state(event, busy)))

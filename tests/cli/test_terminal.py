@@ -330,7 +330,6 @@ def test_the_time_that_is_left(
     line = last_line(capsys, (0, 0.0), (10, 80.0), **limits)
     assert (f"  8.0 s a render  {left}  " in line) if left else ("left" not in line)
     assert "left" not in last_line(capsys, (0, 0.0), (7, 56.0), **limits)
-    assert "left" not in last_line(capsys, (0, 0.0), (10, 80.0), doing="first model", **limits)
 
 
 def test_a_fit_tells_its_time_limit_and_where_its_speed_counts_from() -> None:

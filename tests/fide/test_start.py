@@ -92,7 +92,7 @@ def test_it_may_be_given_as_physical_values(target: Float32, tmp_path: Path) -> 
 def test_physical_values_that_are_none(target: Float32) -> None:
     with pytest.raises(PointsError, match="x0 is a dictionary of parameters, which needs a Space"):
         FIDE(3, target, x0=GUESS)
-    with pytest.raises(SpaceError, match="x0: parameter 'angle' must be a number in"):
+    with pytest.raises(SpaceError, match="x0: parameter 'angle' must be a value of"):
         FIDE(SPACE, target, x0={**GUESS, "angle": 90})
     with pytest.raises(SpaceError, match="x0: missing parameter 'columns', 'dots'"):
         FIDE(SPACE, target, x0={"angle": 0})

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fide_plugins import Float, Space, fit, load_run
-from fide_plugins.errors import ImageError, OptionError, ValueRangeError
+from fide_plugins.errors import ImageError, ValueRangeError
 
 V, U = np.mgrid[0:24, 0:24] / 23
 SPACE = Space(x=Float(0, 1), y=Float(0, 1), r=Float(0.02, 0.2))
@@ -87,11 +87,6 @@ def test_bytes_of_0_and_1_are_named() -> None:
 
     with pytest.warns(RuntimeWarning, match=r"times as bright.*masks of 0 and 1 are bool"):
         fit(half, U > 0.7, SPACE, 40, workers=0, seed=1)
-
-
-def test_global_renders_are_in_0_to_1() -> None:
-    with pytest.raises(OptionError, match="preset='global' learns from images in"):
-        fit(draw, draw(AT), SPACE, 10_000, value_range=(0, 2), preset="global")
 
 
 @pytest.mark.parametrize("values", [(0, 255), "auto"])

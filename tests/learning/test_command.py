@@ -10,12 +10,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from PIL import Image
 
 from fide_plugins.cli import learn_command, main
-from fide_plugins.learning import Model, hypotheses as rounds, judging as calibration
+from fide_plugins.learning import Model, judging as calibration
 
 SCENE = """
 import numpy as np
@@ -172,54 +171,6 @@ def test_a_model_of_another_state_of_the_file_is_noticed(
     words = ("--renderer", "other/gradient.py:render", *words[2:])
     assert fide("fit", "t.png", *words, "--learned", "m.fide") == 0
     assert "learned 'gradient.py:render', and that is not what" in capsys.readouterr().err
-
-
-def test_a_fit_with_the_encoder_of_a_model_is_recorded_and_resumed(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    learn = learned_gradient()
-    fit = ("fit", "t.png", "--renderer", "gradient.py:render", "--workers", 0, "--out", "f")
-    words = (*fit, "--until", "budget", "--seed", 1, "--json", "--encoder")
-    assert fide(*words, "learned:m.fide", "--budget", 20) == 0
-    options = json.loads(Path("f/run.json").read_text())["settings"]["options"]
-    assert options == {"encoder": "learned:m.fide"}
-    assert fide(*words, "learned:m.fide", "--budget", 40, "--resume") == 0
-    resumed = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert fide(*words, "learned:m.fide", "--budget", 40, "--out", "whole") == 0
-    whole = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert (resumed["evaluations"], resumed["x_best"]) == (40, whole["x_best"])
-
-    assert fide(*words, "learned:absent.fide", "--budget", 60, "--out", "g") == 2
-    assert "absent.fide: No such file" in capsys.readouterr().err
-    assert fide(*learn, "--renders", 200, "--resume") == 0
-    assert fide(*words, "learned:m.fide", "--budget", 60, "--resume") == 2
-    assert "features of the encoder learned-1-" in capsys.readouterr().err
-
-
-@pytest.mark.thorough
-def test_the_global_preset_of_a_fit_and_of_a_run(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    Path("gradient.py").write_text(SCENE)
-    Image.fromarray(np.tile(np.arange(16, dtype=np.uint8) * 10 + 20, (16, 1))).save("t.png")
-    fit = ("fit", "t.png", "--renderer", "gradient.py:render", "--preset", "global", "--json")
-    assert fide(*fit, "--budget", 9000) == 2
-    assert "needs a budget of at least 10,000 renders, not 9000" in capsys.readouterr().err
-    assert not Path("runs").exists()
-    monkeypatch.setattr(rounds, "LEAST", 350)
-    monkeypatch.setattr(rounds, "_PASSES", 2)
-    for words in (
-        (*fit, "--workers", 2, "--stop-at", 1e-5),
-        ("run", "gradient.py:render", "--target", "t.png", *fit[-3:]),
-    ):
-        assert fide(*words, "--budget", 350, "--out", words[0]) == 0
-        found = json.loads(capsys.readouterr().out.splitlines()[-1])
-        assert 100 < found["evaluations"] <= 350 and found["best_loss"] < 1e-2
-        settings = json.loads(Path(words[0], "run.json").read_text())["settings"]
-        assert settings["options"] == {"preset": "global"}
-        assert fide("solutions", words[0]) == 0
-        capsys.readouterr()
-    assert fide("run", "voronoi", "--optimizer", "cma", "--preset", "global") == 2
 
 
 @pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM])

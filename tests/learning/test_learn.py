@@ -355,7 +355,7 @@ def test_foreign_files_in_the_folder_are_ignored(tmp_path: Path) -> None:
         (tmp_path / name).write_bytes(b"")
     fill(store, as_renderer(plain, 2), 200)
     again = RenderStore(tmp_path, settings())
-    assert len(again.read_all()[0]) == 200 and len(again.examples(8)[0]) == 8
+    assert len(again.read(200)[0]) == 200 and len(again.examples(8)[0]) == 8
 
 
 def test_any_damaged_file_is_a_checkpoint_error(tmp_path: Path) -> None:
@@ -371,9 +371,6 @@ def test_any_damaged_file_is_a_checkpoint_error(tmp_path: Path) -> None:
         with pytest.raises(CheckpointError, match=f"{file.name}: damaged.*; {remedy}$"):
             learn(plain, 2, out=model, **options)
         file.write_bytes(whole)
-    model.write_bytes(model.read_bytes()[:-100])
-    with pytest.raises(CheckpointError, match="cut short"):
-        learn(plain, 2, after=model, picture=np.zeros((SIDE, SIDE, 3)), **options)
 
 
 @pytest.mark.parametrize("time", [0.3, "0.3s"])

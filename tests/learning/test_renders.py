@@ -608,19 +608,6 @@ def test_renders_that_failed_are_not_tried_again(model: Path) -> None:
     assert learned(fragile, model, 500).report.failed > 50
 
 
-def test_a_second_round_is_of_the_same_images_as_the_first(model: Path, tmp_path: Path) -> None:
-    learned(Scene(), model)
-    second: dict[str, Any] = {"after": model, "picture": Scene()(np.array([0.3, 0.8]))}
-    for version in (None, "2"):  # a refused call binds nobody, not even to its version
-        with pytest.raises(OptionError, match=REFUSED):
-            learned(Scene(0.3, version=version), tmp_path / "second", **second)
-        assert not contents(tmp_path / "second")
-    assert learned(Scene(version="1"), tmp_path / "second", **second).report.renders == 196
-    again = Scene(version="1")  # the first round had none: its images were compared
-    learned(again, tmp_path / "second", 200, **second)
-    assert again.renders == 1 + 4 + 4 + 100
-
-
 PROGRAM = """
 import sys
 pixels = " ".join(str(round(float(sys.argv[2]) * i + {shift})) for i in range(256))

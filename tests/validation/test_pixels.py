@@ -23,7 +23,6 @@ from fide_plugins.errors import (
 )
 from fide_plugins.validation import images
 from fide_plugins.validation.images import as_batch, as_target
-from fide_plugins.validation.tensors import as_tensor_batch
 
 V, U = np.mgrid[0:24, 0:24] / 23
 TARGET = np.exp(-((U - 0.5) ** 2 + (V - 0.5) ** 2) / 0.02)
@@ -48,8 +47,6 @@ def test_floats_of_0_to_255_are_refused_whatever_they_show(width: float, kind: A
     with pytest.raises(ValueRangeError, match=r"another scale.*value_range=\(low, high\)"):
         told(opt, kind(blob(250, width)))
     assert opt.evaluations == before and opt.clipped == 0
-    with pytest.raises(ValueRangeError, match="another scale"):
-        as_tensor_batch(torch.as_tensor(blob(250, width)[None]))
 
 
 def test_a_run_remembers_what_its_images_showed() -> None:
@@ -140,9 +137,7 @@ def tried(render: Any = render, target: Any = PICTURE, space: Any = SPACE, **opt
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: Int(THREE, 5), r"not 3\.0; write 3$"),
-        (lambda: Int(HALF, 5), r"not 0\.5; use Float for real numbers"),
-        (lambda: Int(HUGE, 5), "use Float for real numbers"),
+        (lambda: Int(HALF, 5), "Float takes real numbers"),
         (lambda: tried(budget=20.0), r"budget must be a whole number >= 1, not 20\.0; write 20$"),
         (lambda: tried(budget=2.5), r"not 2\.5$"),
         (lambda: tried(budget=-2.0), r"not -2\.0$"),
@@ -162,7 +157,7 @@ def tried(render: Any = render, target: Any = PICTURE, space: Any = SPACE, **opt
          " render, target, space, budget,.*; of FIDE, those that matter most: loss"),
         (lambda: tried(pop_size=8), r"did you mean 'popsize'"),
         (lambda: tried(weight=PICTURE), r"did you mean 'weights'"),
-        (lambda: Space.from_toml('[a]\ntype = "int"\nlow = 0\nhihg = 1'), "unknown key of an int"),
+        (lambda: Space.from_toml('[a]\ntype = "int"\nlow = 0\nhihg = 1'), "unknown key"),
     ],
 )  # fmt: skip
 def test_the_remedy_is_named(call: Callable[[], object], message: str) -> None:

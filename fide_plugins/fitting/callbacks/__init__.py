@@ -181,8 +181,8 @@ def _bar() -> Iterator[Report]:
         line = bar.add_task("", total=None)
 
         def report(progress: Progress) -> None:
-            words = progress.doing or progress.remark
-            if not progress.doing and math.isfinite(progress.best_loss):
+            words = progress.remark
+            if math.isfinite(progress.best_loss):
                 words = f"best {progress.best_loss:.3g}  {words}"
             total = progress.budget or None
             bar.update(line, total=total, completed=progress.evaluations, description=words)

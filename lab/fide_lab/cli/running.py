@@ -190,6 +190,8 @@ def _report(result: Any, out: Path) -> None:
     parts = "  ".join(f"{part} {duration(s)}" for part, s in result.times.items() if s >= 0.05)
     mse = "" if result.loss == "mse" else f", MSE {number(result.mse)}"
     print(f"best {result.loss} {number(result.best_loss)}{mse} after {result.evaluations} renders")
+    if "error" in result.judged:
+        print(f"error {number(result.judged['error'])}, which no optimizer has seen")
     if result.reference_loss != result.best_loss and math.isfinite(result.reference_loss):
         print(
             f"without noise {number(result.reference_loss)}, "

@@ -25,7 +25,7 @@ from fide_lab.run.prepare import kept_of, make_task, settings_of, target_of
 from fide_lab.run.task import Task, TaskInfo, is_function
 from fide_plugins import losses as losses_module
 from fide_plugins.errors import OptionError
-from fide_plugins.learning.hypotheses import model_for
+from fide_plugins.learning.hypotheses import with_model
 from fide_plugins.recording.sources import of_files, of_losses, of_models, of_weights
 from fide_plugins.recording.storage import KeptTarget
 from fide_plugins.renderers import FunctionRenderer
@@ -145,7 +145,7 @@ class Plan:
 
     For one task and one loss, all configurations have the same target and the same box, and the
     same budget but for those that name their own.  Searches start from the center of the box;
-    optimizers that draw their first candidates (`random`, `inverse`, `npe`) do not.  Runs with the
+    optimizers that draw their first candidates (`random`, `inverse`) do not.  Runs with the
     same seed form a pair.
 
     tasks, losses: names; configurations: optimizers with options; seeds: number of seeds, from 0.
@@ -183,7 +183,7 @@ class Plan:
     @property
     def keep(self) -> Keep:
         """What every run records."""
-        return Keep(metrics=self.metrics, film=True, summary=False, checkpoint=False)
+        return Keep(metrics=self.metrics, summary=False, checkpoint=False)
 
     def runs(self) -> Iterator[RunKey]:
         """All runs, seeds outermost, so that the finished runs can be compared at any time."""
@@ -239,7 +239,7 @@ class Plan:
         for name in self.tasks:
             task = make_task(name, self.size, self.task_seed, self.task_options)
             for configuration in self.configurations:  # a model may be of another version
-                model_for(self.options_of(configuration).get("learned"), task)
+                with_model(self.options_of(configuration), task)
             target = target_of(task, target_file(out, name))
             targets[name] = kept_of(task, target)
             mine = [key for key in self.runs() if key.task == name]

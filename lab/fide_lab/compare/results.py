@@ -52,8 +52,7 @@ class Curve:
 
     at: position of the steps along each of `AXES`, (m,).
     ends: end of the run along each of `AXES`.
-    loss: (m,), of each improvement, so decreasing.  Only a run whose samples per pixel rise
-        (`least_spp`) renders its best candidate again, and compares what follows with that loss.
+    loss: (m,), of each improvement, so decreasing.
     metrics: other losses of the same images by name, (m,).
     """
 
@@ -70,14 +69,20 @@ class Curve:
         result: Float64 = padded[index]
         return result
 
-    def loss_at(self, axis: str, x: float) -> float:
-        """Best loss at x; infinity before the first finite one."""
-        value = float(self.value(axis, [x])[0])
+    def loss_at(self, axis: str, x: float, metric: str | None = None) -> float:
+        """Best loss at x, or a metric of that candidate; infinity before the first finite one."""
+        value = float(self.value(axis, [x], metric)[0])
         return np.inf if np.isnan(value) else value
 
-    def reaches(self, axis: str, loss: float) -> float:
-        """Position of the first value that is at most `loss`; infinity if there is none."""
-        hits = np.flatnonzero(self.loss <= loss)
+    def reaches(self, axis: str, loss: float, metric: str | None = None) -> float:
+        """Position of the first value that is at most `loss`; infinity if there is none.
+
+        Of a metric: position from which on it is, to the end.
+        """
+        below = (self.loss if metric is None else self.metrics[metric]) <= loss
+        if metric is not None:
+            below = np.logical_and.accumulate(below[::-1])[::-1]
+        hits = np.flatnonzero(below)
         return float(self.at[axis][hits[0]]) if len(hits) else np.inf
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import shlex
 import tomllib
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -26,6 +26,8 @@ class Scene:
     group: such as "folding"; loss: that is minimized; solved: the loss from which on it is solved.
     task: name in `fide_tasks`, made with `size` in pixels and `options`; or None for a program,
         whose task has the `options` of `run.task.make_renderer_task`.
+    targets: seeds of the tasks.
+    metric: by which it is judged in place of the loss: "error" for a scene of `suite.foreign`.
     """
 
     name: str
@@ -35,6 +37,8 @@ class Scene:
     task: str | None
     size: int
     options: Mapping[str, Any]
+    targets: tuple[int, ...] = ()
+    metric: str | None = None
 
 
 @dataclass(frozen=True)
@@ -42,7 +46,7 @@ class Suite:
     """A suite: problems are scenes x targets, each with the name ``SCENE-NUMBER``.
 
     budgets: renders at which results are read; the last is that of a run.
-    targets: seeds of the tasks, the same for every scene.
+    targets: seeds of the tasks, the same for every scene, but for those that have fewer.
     """
 
     name: str
@@ -60,17 +64,27 @@ class Suite:
     def parts(self, problem: str) -> tuple[str, int]:
         """Undo `problem_of`; UnknownNameError for a name that is none of the suite's problems."""
         scene, _, number = problem.rpartition("-")
-        if scene not in self.scenes or number not in map(str, range(len(self.targets))):
+        targets = self.scenes[scene].targets if scene in self.scenes else ()
+        if number not in map(str, range(len(targets))):
             raise UnknownNameError(
                 f"unknown problem {problem!r} of {self.name}: write SCENE-NUMBER, a number from 0 "
-                f"to {len(self.targets) - 1} and a scene of {', '.join(self.scenes)}"
+                f"to {len(targets or self.targets) - 1} and a scene of {', '.join(self.scenes)}"
             )
         return scene, int(number)
 
     def problem(self, name: str) -> tuple[Scene, int]:
         """Scene and target's seed of a problem; raises as `parts`."""
         scene, number = self.parts(name)
-        return self.scenes[scene], self.targets[number]
+        return self.scenes[scene], self.scenes[scene].targets[number]
+
+    def problems(self, scenes: Iterable[str], targets: int) -> list[str]:
+        """Names of the problems of these scenes, the first `targets` of each, targets outermost."""
+        return [
+            self.problem_of(scene, number)
+            for number in range(targets)
+            for scene in scenes
+            if number < len(self.scenes[scene].targets)
+        ]
 
     def chosen(self, scenes: list[str] | None, targets: int | None) -> tuple[list[str], int]:
         """Scenes in the order of the suite and number of targets; None: all.
@@ -99,12 +113,14 @@ def read(name: str) -> Suite:
     data = tomllib.loads((_FOLDER / f"{name}.toml").read_text("utf-8"))
     budgets, targets = tuple(data["budgets"]), tuple(data["targets"])
     if "scenes_of" in data:
-        return Suite(name, budgets, targets, read(data["scenes_of"]).scenes)
-    scenes = {scene: _scene(scene, entry) for scene, entry in data["scenes"].items()}
+        others = read(data["scenes_of"]).scenes
+        scenes = {key: replace(scene, targets=targets) for key, scene in others.items()}
+    else:
+        scenes = {key: _scene(key, entry, targets) for key, entry in data["scenes"].items()}
     return Suite(name, budgets, targets, MappingProxyType(scenes))
 
 
-def _scene(name: str, entry: dict[str, Any]) -> Scene:
+def _scene(name: str, entry: dict[str, Any], targets: tuple[int, ...]) -> Scene:
     options = dict(entry.get("options", {}))
     if "command" in entry:
         folder = _FOLDER / "scenes"
@@ -118,6 +134,8 @@ def _scene(name: str, entry: dict[str, Any]) -> Scene:
         entry.get("task"),
         int(entry.get("size", 0)),
         MappingProxyType(options),
+        targets[: entry.get("problems")],
+        entry.get("metric"),
     )
 
 

@@ -35,7 +35,8 @@ if TYPE_CHECKING:
 
 _METHOD = (
     "A problem is a scene and a target. It is solved by the first render whose loss is at most the "
-    "threshold of its scene, as the optimizer received the loss.",
+    "threshold of its scene, as the optimizer received the loss. Where an error judges a scene, it "
+    "is the error of the best candidate so far, and must stay at most the threshold to the end.",
     "One run of the largest budget is read at each smaller one, so budgets that an optimizer knows "
     "beforehand are the largest.",
     "The data profile (Moré and Wild 2009; COCO) shows the share of problems solved within so many "
@@ -161,7 +162,8 @@ def _facts(found: Scores) -> str:
 def _part(found: Scores) -> str:
     """What part of the suite this is."""
     suite = found.suite
-    whole, scenes = len(suite.scenes) * len(suite.targets), len(suite.scenes)
+    whole = sum(len(scene.targets) for scene in suite.scenes.values())
+    scenes = len(suite.scenes)
     if len(found.problems) == whole and found.budgets == suite.budgets:
         return f"This is the whole suite {suite.name}."
     here, all_of_it = (", ".join(map(number, b)) for b in (found.budgets, suite.budgets))

@@ -26,7 +26,7 @@ class SuitePlan(Plan):
     @property
     def keep(self) -> Keep:
         """What every run records: its curve."""
-        return Keep(film=False, summary=False, checkpoint=False)
+        return Keep(summary=False, checkpoint=False)
 
     def runs(self) -> Iterator[RunKey]:
         """All runs, targets outermost, so that finished problems can be compared at any time."""
@@ -51,7 +51,7 @@ def plan(
     configurations = tuple(configurations)
     check_budgets(configurations)
     return SuitePlan(
-        tasks=tuple(suite.problem_of(scene, k) for k in range(targets) for scene in scenes),
+        tasks=tuple(suite.problems(scenes, targets)),
         configurations=configurations,
         losses=tuple(dict.fromkeys(suite.scenes[scene].loss for scene in scenes)),
         seeds=targets,

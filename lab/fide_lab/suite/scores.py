@@ -25,7 +25,7 @@ class Scores:
     labels: of the optimizers.  problems: names.
     budgets: renders at which results are read.
     t: (P, S), renders after which a problem was solved; infinite if it was not.
-    losses: (B, P, S), lowest loss by each budget.
+    losses: (B, P, S), lowest loss by each budget; the error of that candidate where errors judge.
     failed: optimizer and problem of each run that failed.
     left_out: optimizer, problem and state of each run because of which a problem is left out.
         The state is that of a `StoredRun`, or "not planned".
@@ -89,7 +89,7 @@ def scores(results: Results) -> Scores:
     most = int(results.settings["budget"])
     budgets = (*(b for b in suite.budgets if b < most), most)
     t = np.array([[_renders(suite, run) for run in row] for row in rows])
-    losses = np.array([[[_loss(run, b) for run in row] for row in rows] for b in budgets])
+    losses = np.array([[[_loss(suite, run, b) for run in row] for row in rows] for b in budgets])
     return Scores(
         suite, labels, tuple(whole), budgets, t, losses, failed, left_out, results.not_shown
     )
@@ -110,11 +110,14 @@ def _left_out(
 def _renders(suite: Suite, run: StoredRun) -> float:
     if run.curve is None:
         return np.inf
-    return run.curve.reaches("renders", suite.problem(run.key.task)[0].solved)
+    scene, _ = suite.problem(run.key.task)
+    return run.curve.reaches("renders", scene.solved, scene.metric)
 
 
-def _loss(run: StoredRun, renders: int) -> float:
-    return np.inf if run.curve is None else run.curve.loss_at("renders", renders)
+def _loss(suite: Suite, run: StoredRun, renders: int) -> float:
+    if run.curve is None:
+        return np.inf
+    return run.curve.loss_at("renders", renders, suite.problem(run.key.task)[0].metric)
 
 
 # -- profiles of solvers over a set of problems ----------------------------------------------------

@@ -1,0 +1,82 @@
+"""Runs of tasks whose target the renderer did not draw: what is compared, and what judges.
+
+The loss that is minimized does not say who is right: of two comparisons of the same pictures each
+has its own.  So the task says how wrong a point is (`TaskInfo.error`), which no optimizer sees.
+
+FIDE is told images and compares them itself, by its options (``photo=True``).  Any other optimizer
+is told images and losses as ``photo=True`` would compare them: with robust differences and the
+coverage, and with the kind of light set aside that the task says has changed.  FIDE is not told
+which.
+"""
+
+from __future__ import annotations
+
+from array import array
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fide_lab.run.task import TaskInfo
+from fide_plugins.comparison.coverage import without_coverage
+from fide_plugins.recording.record import Record
+from fide_plugins.types import Float32, Float64, Optimizer
+from fide_plugins.validation.images import as_batch
+from fide_plugins.validation.pixels import Clipping
+
+if TYPE_CHECKING:
+    from fide_plugins.evaluation import Evaluator
+
+ERROR = "error"
+"""Name of the metric in the record of a run: the error of the best candidate so far."""
+
+
+class Foreign:
+    """Tells an optimizer renders of a task with an `error`.
+
+    target: (H, W, 3).  loss: name.
+    """
+
+    def __init__(self, info: TaskInfo, target: Float32, loss: str, optimizer: Optimizer) -> None:
+        from fide_plugins.fide import FIDE
+
+        assert info.error is not None
+        self.error, self._target, self._clipping = info.error, target, Clipping()
+        self._fide = optimizer if isinstance(optimizer, FIDE) else None
+        self._comparisons = 0 if self._fide is None else self._fide.state.comparisons
+        self._evaluator: Evaluator | None = None
+        if self._fide is None:
+            from fide_plugins.evaluation import Evaluator
+
+            light = None if info.light == "none" else info.light
+            self._evaluator = Evaluator(
+                target, loss, "dense", photometric=light, robust="auto", background="free"
+            )
+
+    def tell(
+        self, optimizer: Optimizer, X: Float64, images: Any, record: Record
+    ) -> tuple[Float32, Float64]:
+        """Tell points (n, dim) with their renders; plain images (n, H, W, 3), and losses (n,)."""
+        plain = as_batch(
+            without_coverage(list(images)), self._target.shape, n=len(X), on_clip=self._clipping
+        )
+        if self._fide is not None:
+            with record.timing(optimizer):
+                return plain, self._fide.tell(X, list(images))
+        evaluator = self._evaluator
+        assert evaluator is not None and evaluator.comparison is not None
+        batch: Any = evaluator.as_batch(len(X), list(images), None, None, self._clipping)
+        compared = evaluator.comparison.compare(batch)
+        with record.timing(optimizer):
+            optimizer.tell(X, np.clip(compared.images, 0, 1), compared.losses)
+        return plain, compared.losses
+
+    def note_errors(self, record: Record) -> None:
+        """Enter the errors of the best candidates, and the best one of another comparison."""
+        if self._fide is not None and self._fide.state.comparisons != self._comparisons:
+            self._comparisons, best = self._fide.state.comparisons, self._fide.state.best
+            if best is not None and best.solution.image is not None:
+                record.judge_best(best.solution)
+                record.improvements.append(record.evaluations - 1)
+                record.path.append(best.solution.x.copy())
+        errors = record.metrics.setdefault(ERROR, array("d"))
+        errors.extend(self.error(x) for x in record.path[len(errors) :])
