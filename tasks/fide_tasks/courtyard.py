@@ -1,7 +1,6 @@
 """The courtyard that the San Miguel task renders by default: 58,464 triangles from `courtyard.npz`.
 
-Two storeys of arcades around a paved court, with stairs, a fountain, tables and chairs, plants, a
-tiled roof and a bell tower.  Code made it, which is in the history of this file (until e300d0d4).
+Code made it, which is in the history of this file (until e300d0d4).
 """
 
 from __future__ import annotations

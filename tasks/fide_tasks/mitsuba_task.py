@@ -1,15 +1,9 @@
 """Base class of Mitsuba tasks: samples per pixel, variants, noise, and rendering.
 
-Notation: L [H, W, 3] linear radiance, the mean over `spp` paths through every pixel; the image is
-sRGB(min(L, 1)), the nonlinear encoding of IEC 61966-2-1.
-
-Paths are independent and a pixel is the mean of its own paths (a box filter), so the noise of
-different pixels is independent, and a frame is bit-identical on any number of threads.
-
-Noise seeds have 32 bits, so two frames have the same noise with a probability of 2^-32. With the
-variant scalar it is larger: Mitsuba multiplies the seed by H W modulo 2^32 there, which leaves
-2^32 / gcd(H W, 2^32) kinds of noise: 16.8 million at 112 x 112, but 65,536 at 256 x 256 and 4,096
-at 1024 x 1024.
+L [H, W, 3] is linear radiance, the mean over `spp` paths through every pixel; the image is
+sRGB(min(L, 1)), the nonlinear encoding of IEC 61966-2-1.  A pixel is the mean of its own paths (a
+box filter), so noise is independent between pixels, and of the number of threads.  Noise seeds have
+32 bits; the variant scalar multiplies them by H W modulo 2^32.
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
 """Which of Mitsuba's variants runs on this machine, and with which LLVM library.
 
-Mitsuba compiles its kernels for a GPU (CUDA) or for the CPU's vector units (LLVM), or runs
-them ray by ray ("scalar"). LLVM is a library of the system: some releases are not found, and some
-abort the whole process at the first kernel (15 does). So a variant is tried in a process of
-its own before this one relies on it.
+Some releases of LLVM abort the whole process at the first kernel (15 does).  So a variant is tried
+in a process of its own before this one relies on it.
 """
 
 from __future__ import annotations

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import gc
-import os
 import pickle
 import subprocess
 import sys
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 
 import fide_tasks
 from fide_plugins.cli import doctor_command
-from fide_tasks import offscreen, robot
+from fide_tasks import robot
 from fide_tasks.offscreen import OffscreenError
 from fide_tasks.robot import Robot
 
@@ -180,14 +179,6 @@ def alone(script: str) -> str:
     )
     assert done.returncode == 0, done.stderr
     return done.stdout
-
-
-def test_where_a_fork_cannot_draw_it_says_so(task: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    task.render(random_x(1))
-    monkeypatch.setattr(offscreen, "_outlives_fork", False)
-    monkeypatch.setattr(offscreen, "_opened_by", os.getpid() + 1)
-    with pytest.raises(OffscreenError, match="does not outlive a fork: .*spawn"):
-        Robot(8).render(random_x(1))
 
 
 def test_closing_frees_and_the_next_render_opens_again(task: Robot) -> None:

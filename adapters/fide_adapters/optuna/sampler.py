@@ -98,6 +98,7 @@ class FIDESampler(BaseSampler):
         self._constraints_func = constraints_func
         self._search_space = None if search_space is None else dict(search_space)
         self._independent_sampler = independent_sampler or _NumberedSampler(seed)
+        self._reseeded = False
         self._states: OrderedDict[tuple[int, str], StudyState] = OrderedDict()
         self._lock = threading.RLock()
 
@@ -174,7 +175,8 @@ class FIDESampler(BaseSampler):
     ) -> Any:
         """Return a value of the independent sampler, or of the first candidate in trial 0."""
         _refuse_several_objectives(study)
-        if trial.number == 0 and isinstance(self._independent_sampler, _NumberedSampler):
+        own = isinstance(self._independent_sampler, _NumberedSampler) and not self._reseeded
+        if trial.number == 0 and own:
             with self._lock:
                 state = self._state_of(study)
                 return state.first(study, trial, param_name, param_distribution)
@@ -218,6 +220,7 @@ class FIDESampler(BaseSampler):
 
     def reseed_rng(self) -> None:
         """Reseed the independent sampler; candidates differ between threads without that."""
+        self._reseeded = True
         self._independent_sampler.reseed_rng()
 
     # -- what was learned --------------------------------------------------------------------------

@@ -43,7 +43,7 @@ def test_invalid_candidates_have_no_image_and_are_no_reason_to_warn(how: str) ->
     optimizer = fide(budget=200)
     if how == "constraint":
         optimizer.parametrization.register_cheap_constraint(never)
-    for _ in range(30):
+    for _ in range(12):
         candidate = optimizer.ask()
         violation = [1.0] if how == "violation" else None
         optimizer.tell(candidate, math.inf if how == "failed" else 1.0, violation)
