@@ -8,7 +8,7 @@
     python benchmarks/suite.py --picture docs/images/suite_performance.png --performance
     python benchmarks/suite.py --page runs/suite/report.html             # all of them on a page
     python benchmarks/suite.py --budget 2000 --scenes arm,lens --optimizers dfols
-    python benchmarks/suite.py --suite image-fitting-v2   # or -v3
+    python benchmarks/suite.py --suite image-fitting-v2   # or -v3, image-fitting-foreign-v1
 
 `fide compare --suite` keeps every run in a folder of its own; here it is one line of the output
 file: the render that solved the problem, and the lowest loss at each budget.  So runs of several
@@ -82,7 +82,7 @@ def label_of(optimizer: str) -> str:
 
 def file_of(suite: Suite) -> Path:
     """Of each suite its own: problems of two suites have the same names."""
-    return RESULTS / f"suite_{suite.name.rpartition('-')[2]}.jsonl"
+    return RESULTS / f"suite_{suite.name.removeprefix('image-fitting-').replace('-', '_')}.jsonl"
 
 
 def planned(
