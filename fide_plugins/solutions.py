@@ -69,14 +69,12 @@ class Found:
     loss: name of the loss.
     target: (H, W, 3), views side by side.
     images: (H, W, 3) of each solution, None where none is stored.
-    elsewhere: share of a model's hypotheses that are far from all of them; None without a model.
     """
 
     loss: str
     target: Float32
     solutions: list[Solution]
     images: list[Float32 | None]
-    elsewhere: float | None = None
 
 
 def read(
@@ -114,7 +112,6 @@ def read(
         side_by_side(optimizer.views.targets),
         solutions,
         images,
-        optimizer.elsewhere(solutions),
     )
 
 

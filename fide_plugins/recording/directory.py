@@ -88,14 +88,9 @@ class CheckpointTimer:
         self._written_at, self._writing_took = perf_counter(), 0.0
 
     def due(self, optimizer: Optimizer) -> bool:
-        """Whether the last checkpoint is old enough, in seconds and in times of writing one.
-
-        Not while the optimizer trains, for saving would wait, unless one is always due.
-        """
+        """Whether the last checkpoint is old enough, in seconds and in times of writing one."""
         if self.every <= 0:
             return True
-        if optimizer.training:
-            return False
         since = perf_counter() - self._written_at
         return since >= max(self.every, _INTERVAL * self._writing_took)
 

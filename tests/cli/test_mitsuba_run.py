@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import json
-import logging
 from pathlib import Path
 
 import pytest
 
 from fide_plugins.cli import doctor_command, main
-from fide_plugins.cli.terminal import notices
 from fide_tasks import mitsuba_variant
 
 pytest.importorskip("mitsuba", reason="Mitsuba is not installed: pip install mitsuba")
@@ -35,24 +33,6 @@ def test_spp_and_workers_have_flags(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert second["mse"] == first["mse"]
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--spp", "0"], "--spp: a whole number >= 1"),
-        (["--task-set", "variant=opencl"], "variant must be one of 'auto', 'cuda'"),
-        (["--task-set", "denoise=true", "--task-set", "variant=scalar"], "denoise=True needs"),
-    ],
-)
-def test_wrong_fidelity_is_one_line(
-    words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main([*WORDS, *words, "--out", str(tmp_path / "a")]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert message in captured.err
-    assert len(captured.err.splitlines()) == 1
-
-
 def test_doctor_says_which_variants_run(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -69,11 +49,3 @@ def test_doctor_says_which_variants_run(
     lines = capsys.readouterr().out.splitlines()
     assert any(line.split()[:2] == ["scalar_rgb", "ok"] for line in lines)
     assert any(line.split() == ["beads", "ok"] for line in lines)
-
-
-def test_what_a_task_has_to_say_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
-    log = logging.getLogger("fide_tasks.anything")
-    with notices("fide_tasks"):
-        log.info("it renders\nwith %s", "care")
-    log.info("and nobody hears")
-    assert capsys.readouterr().err == "it renders with care\n"

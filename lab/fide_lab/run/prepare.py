@@ -120,7 +120,7 @@ def prepare(
     """
     budget, seed = whole_number("budget", budget, 1), whole_number("seed", seed, 0)
     task_options, options, keep = dict(task_options or {}), dict(options or {}), keep or Keep()
-    _check_optimizer(optimizer, options)
+    _check_optimizer(optimizer, options, out is not None)
     if isinstance(task, str):
         task = make_task(task, size, task_seed, task_options)
     resumed = resume and out is not None and is_saved(out)
@@ -135,11 +135,6 @@ def prepare(
     searcher = _make_optimizer(optimizer, task, target, loss, seed, budget, search_options)
     record, directory = Record(), None
     if out is not None:
-        if not isinstance(optimizer, str):
-            raise OptionError(
-                "a run with a directory needs its optimizer by name, to load it again; "
-                "see fide_lab.optimizers.register"
-            )
         may_change = () if "budget" in optimizers.options(optimizer) else ("budget",)
         directory = RunDirectory(
             out, settings, resume=resume, command=command, may_change=may_change,
@@ -152,9 +147,14 @@ def prepare(
     )  # fmt: skip
 
 
-def _check_optimizer(optimizer: Named, options: Mapping[str, Any]) -> None:
+def _check_optimizer(optimizer: Named, options: Mapping[str, Any], saved: bool) -> None:
     """Raise ValueError for an optimizer that is no use, and for options that the run gives it."""
     given: tuple[str, ...] = ("loss", "seed")
+    if saved and not isinstance(optimizer, str):
+        raise OptionError(
+            "a run with a directory needs its optimizer by name, to load it again; "
+            "see fide_lab.optimizers.register"
+        )
     optimizers.options(optimizer)  # raises
     if isinstance(optimizer, str):
         given = ("self", "dim", "target", *given)  # a user's callable may name its own options so

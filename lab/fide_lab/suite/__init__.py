@@ -4,6 +4,8 @@
 
 ============  ====================================================================
 `definition`  a suite as data, read from NAME.toml; `scenes/` has its files
+`foreign`     scenes whose target another camera or renderer made
+`renderers`   what fits them
 `problems`    the plan of a comparison that runs them
 `scores`      renders to solve each problem, and profiles of them
 `page`        the page: both profiles, tables, remarks

@@ -151,7 +151,7 @@ def test_a_renderer_that_is_edited_meanwhile_leaves_the_target_as_it_is(
     prepare(plan, out).execute(edit_after)
     assert len(targets(out)) == 1
     edit(scene, NOISY)
-    with pytest.warns(RuntimeWarning, match="has changed since the runs with"):
+    with pytest.raises(RunDirectoryError, match="has changed since runs with"):
         prepare(plan, out, resume=True)
 
 

@@ -114,22 +114,11 @@ def _cut(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-9])
 
 
-def _edit_totals(folder: Path, **totals: Any) -> None:
-    run = json.loads((folder / "run.json").read_text())
-    run["totals"] |= totals
-    (folder / "run.json").write_text(json.dumps(run))
-
-
 DAMAGE: dict[str, Any] = {
     "no record": lambda folder: (folder / "run.json").unlink(),
     "all but a picture removed": lambda folder: [
         file.unlink() for file in folder.iterdir() if file.suffix != ".png"
     ],
-    "totals that lack a number": lambda folder: _edit_totals(folder, dim=None),
-    "totals without a judgment": lambda folder: _edit_totals(folder, judged=3),
-    "a loss that is a word": lambda folder: _edit_totals(folder, reference_loss="low"),
-    "times that lack a part": lambda folder: _edit_totals(folder, times={"render": 1.0}),
-    "no evaluation at all": lambda folder: _edit_totals(folder, evaluations=0),
     "a table that was cut": lambda folder: _cut(folder / "improvements.csv"),
     "a table that was edited": lambda folder: (folder / "curve.csv").write_text(
         "evaluation,loss\n"
