@@ -32,9 +32,8 @@ def configurations(name: str, args: argparse.Namespace) -> Iterator[dict[str, An
     if "spp" not in fide_tasks.options(name):
         yield from ({"size": size} for size in args.sizes)
         return
-    grid = itertools.product(args.variants, args.sizes, args.spp, args.workers)
-    for variant, size, spp, workers in grid:
-        yield {"size": size, "spp": spp, "variant": variant, "workers": workers}
+    for variant, size, spp in itertools.product(args.variants, args.sizes, args.spp):
+        yield {"size": size, "spp": spp, "variant": variant}
 
 
 def measure(name: str, options: dict[str, Any]) -> tuple[float, dict[str, float]]:
@@ -66,17 +65,16 @@ def main() -> None:
     add("--sizes", type=int, nargs="+", default=[112, 224], metavar="PX")
     add("--spp", type=int, nargs="+", default=[8, 16, 64], metavar="N")
     add("--variants", nargs="+", default=["llvm", "scalar"], metavar="NAME")
-    add("--workers", type=int, nargs="+", default=[1, 2], metavar="N")
     add("--passes", type=int, default=2, metavar="N")
     args = parser.parse_args()
     rows = [(name, options) for name in args.tasks for options in configurations(name, args)]
     passes = [[measure(*row) for row in rows] for _ in range(args.passes)]
-    columns = ["task", "variant", "size", "spp", "processes", "ms a frame", *PARTS]
+    columns = ["task", "variant", "size", "spp", "ms a frame", *PARTS]
     print("| " + " | ".join(columns) + " |")
     print("|" + "---|" * 2 + "---:|" * (len(columns) - 2))
     for (name, options), measured in zip(rows, zip(*passes, strict=True), strict=True):
         seconds, parts = min(measured, key=lambda m: m[0])
-        facts = [options.get(key, "") for key in ("variant", "size", "spp", "workers")]
+        facts = [options.get(key, "") for key in ("variant", "size", "spp")]
         times = [seconds, *(parts.get(part, np.nan) for part in PARTS)]
         cells = ["" if np.isnan(t) else _milliseconds(t) for t in times]
         print("| " + " | ".join(map(str, [name, *facts, *cells])) + " |")

@@ -1,4 +1,4 @@
-"""What is lost when workers learn from stored features, compressed to 1,300 bytes.
+"""What is lost when workers learn from stored features, compressed to 2,600 bytes.
 
     python benchmarks/optuna_codec.py --out benchmarks/results/optuna_codec.jsonl
     python benchmarks/optuna_codec.py --table benchmarks/results/optuna_codec.jsonl
