@@ -12,7 +12,6 @@ import torch
 from torch import Tensor
 
 from fide_plugins.denoiser import Denoise, Network
-from fide_plugins.options import PAPER_SCHEDULE
 from fide_plugins.validation.options import check_schedule
 
 CENTER = 0.5  # the start of every search; Algorithm 1 counts parameters from there (mu = 0)
@@ -43,11 +42,6 @@ def whitened(network: Network, mean: Tensor | float, std: Tensor | float) -> Den
         return mean + std * (u / variance + r / variance.sqrt() * remainder)
 
     return denoise
-
-
-def evenly(steps: int) -> tuple[float, ...]:
-    """Schedule of evenly spaced times from that of the paper; 3 steps give the published one."""
-    return tuple(round(PAPER_SCHEDULE[0] * (steps - i) / steps, 12) for i in range(steps))
 
 
 @torch.no_grad()
