@@ -63,7 +63,7 @@ _STALLED = 20  # generations without improvement; or a quarter of all evaluation
 Decision: TypeAlias = tuple[bool | None, bool | None]
 """Whether a search is over, and whether images say where the next begins, as others have decided.
 
-None: the optimizer decides (`distributed`).
+None: the optimizer decides (`fide_adapters.optuna.replica`).
 """
 
 

@@ -309,7 +309,7 @@ class FIDESampler(BaseSampler):
           by another loss.
         - "waiting": completed, but not processed before an earlier trial finishes or is skipped.
 
-        A key may be absent if its count is zero.  See `fide_plugins.distributed.replica`.
+        A key may be absent if its count is zero.  See `fide_adapters.optuna.replica`.
         """
         with self._lock:
             return self._state_of(study).counts(study, self._search_space)

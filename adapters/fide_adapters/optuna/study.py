@@ -21,6 +21,7 @@ from torch import Tensor
 
 from fide_adapters.optuna import storage
 from fide_adapters.optuna.images import ImageEvaluator
+from fide_adapters.optuna.replica import Replica, Role
 from fide_adapters.optuna.search_space import RelativeSpace, SearchSpace
 from fide_adapters.optuna.settings import Settings
 from fide_adapters.optuna.storage import (
@@ -34,7 +35,6 @@ from fide_adapters.optuna.storage import (
     Trials,
 )
 from fide_adapters.optuna.trials import History, News, TrialOrder, loss_of
-from fide_plugins.distributed.replica import Replica, Role
 from fide_plugins.fide import FIDE
 from fide_plugins.space import Float, Space
 from fide_plugins.types import Float64
@@ -67,7 +67,7 @@ class StoredFeaturesNeeded(Exception):
 
 
 class StudyOptimizer:
-    """The replica of one search space, see `fide_plugins.distributed.replica`.
+    """The replica of one search space, see `fide_adapters.optuna.replica`.
 
     space: of the parameters that it gives.
     make: makes its optimizer.
