@@ -26,24 +26,6 @@ def x_prediction(network: Network) -> Denoise:
     return denoise
 
 
-def whitened(network: Network, mean: Tensor | float, std: Tensor | float) -> Denoise:
-    """Denoiser of data with this `mean` and `std`, [d] or one number for all.
-
-    With u = (z - mean) / std and r = s / std, the estimate is
-    u / (1 + r^2) + r / sqrt(1 + r^2) * network(u / sqrt(1 + r^2), r); the network's input and
-    its ideal output have variance 1 at every noise level.
-    """
-
-    def denoise(z: Tensor, s: Tensor) -> Tensor:
-        r = s / std  # [B, d]
-        variance = 1 + r * r
-        u = (z - mean) / std
-        remainder = network(u / variance.sqrt(), r)
-        return mean + std * (u / variance + r / variance.sqrt() * remainder)
-
-    return denoise
-
-
 @torch.no_grad()
 def euler(denoise: Denoise, z: Tensor, std: Tensor, schedule: Sequence[float]) -> Tensor:
     """Integrate `z` [B, d] from time schedule[0] to time 0.
