@@ -20,11 +20,11 @@ from optuna.trial import FrozenTrial, TrialState
 from torch import Tensor
 
 from fide_adapters.optuna import storage
+from fide_adapters.optuna.replica import Replica, Role
 from fide_adapters.optuna.search_space import Distributions, SearchSpace, common
 from fide_adapters.optuna.settings import Settings
 from fide_adapters.optuna.storage import IMAGE, MOST_NAMED, SEED, Ask, Trials
 from fide_adapters.optuna.trials import History, News, TrialOrder, loss_of
-from fide_plugins.distributed.replica import Replica, Role
 from fide_plugins.fide import FIDE
 from fide_plugins.space import Float, Space
 
@@ -53,7 +53,7 @@ class StoredFeaturesNeeded(Exception):
 
 
 class StudyOptimizer:
-    """The replica of one search space, see `fide_plugins.distributed.replica`.
+    """The replica of one search space, see `fide_adapters.optuna.replica`.
 
     make: makes its optimizer.
     digest: of search space and settings; workers with equal digests have the same optimizer.
