@@ -6,7 +6,6 @@ import importlib
 import importlib.metadata
 import os
 import re
-import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
@@ -207,14 +206,3 @@ def test_commands_say_what_is_left_out(
     assert "solutions.png is left out" in capsys.readouterr().err
     assert main(["solutions", "run", "-o", "answers.png"]) == 2
     assert "extra plot" in capsys.readouterr().err
-
-
-def test_a_fit_without_files_loads_no_matplotlib() -> None:
-    code = (
-        "import sys, numpy as np\n"
-        "from fide_plugins import fit, Space, Float\n"
-        "fit(lambda p: np.full((8, 8), p['g']), np.full((8, 8), 0.4), Space(g=Float(0, 1)),\n"
-        "    budget=20, workers=0)\n"
-        "assert 'matplotlib' not in sys.modules"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)
