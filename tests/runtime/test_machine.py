@@ -140,6 +140,16 @@ def test_what_is_left_of_two_is_noticed(
         imported_again()
 
 
+def test_a_missing_library_of_the_system_is_named(
+    present: set[str], imported_again: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "cv2.py").write_text("raise ImportError('libGL.so.1: cannot open')")
+    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
+    importlib.invalidate_caches()
+    with pytest.raises(DependencyError, match=rf"\(libGL.so.1: cannot open\): pip install {OURS}"):
+        imported_again()
+
+
 # -- without matplotlib, which is an extra, everything but figures works ---------------------------
 
 
