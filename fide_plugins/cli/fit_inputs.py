@@ -97,7 +97,7 @@ def _view(path: str, target: Any, mask: Any, weights: Any, side: int | None, raw
     """
     from fide_plugins.validation.image_files import read_pixels, shrunk
     from fide_plugins.validation.images import alpha_of
-    from fide_plugins.views.weights import ALPHA, joined, read_weights
+    from fide_plugins.views.given import ALPHA, joined, read_weights
 
     given = {"mask": mask, "weights": weights}
     size, product, counting = target.shape[:2], None, []

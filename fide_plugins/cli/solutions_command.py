@@ -22,8 +22,6 @@ from fide_plugins.cli.terminal import USAGE_ERRORS, complain, number, plain, wri
 
 __all__ = ["add_arguments", "execute"]
 
-_FEW = 0.01  # of a model's hypotheses: tails of its density
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``fide solutions``."""
@@ -77,11 +75,6 @@ def _table(found: Any, rows: Any) -> list[str]:
         "  ".join([f"{name:{first}}", *(f"{v:>{w}}" for v, w in zip(values, widths, strict=True))])
         for name, values in cells
     ]
-    if found.elsewhere is not None and found.elsewhere >= _FEW:
-        lines.append(
-            f"{found.elsewhere:.0%} of the model's hypotheses are near none of these: "
-            "probabilities are relative"
-        )
     if any("±" in value for row in rows for value in row.values):
         lines.append(
             "± one standard deviation: how far the truth may be from this answer, by noise and by "

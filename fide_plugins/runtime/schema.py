@@ -63,6 +63,13 @@ def values(instance: Any) -> dict[str, Any]:
     return {name: getattr(instance, name) for name in form(type(instance))}
 
 
+def packed(value: Any) -> Any:
+    """A part, or a list of them, as plain values, by `state_dict`; anything else as it is."""
+    if isinstance(value, list | tuple):
+        return [packed(one) for one in value]
+    return value.state_dict() if hasattr(value, "state_dict") else value
+
+
 class Stateful:
     """An object that saves those of its attributes that are in SCHEMA.
 
@@ -72,17 +79,28 @@ class Stateful:
     SCHEMA: ClassVar[dict[str, Schema]]
 
     def state_dict(self) -> dict[str, Any]:
-        """All that changes, those values in use, not copies."""
-        return {name: getattr(self, self._attribute(name)) for name in self.SCHEMA}
+        """All that changes, those values in use, not copies; parts by their own `state_dict`."""
+        return {name: packed(getattr(self, self._attribute(name))) for name in self.SCHEMA}
 
-    def load_state_dict(self, state: Mapping[str, Any], sides: Sides | None = None) -> None:
+    def load_state_dict(
+        self, state: Mapping[str, Any], sides: Sides | None = None, device: Any = None
+    ) -> None:
         """Put back what `state_dict` gave; ValueError for what it cannot have given.
 
         sides: of arrays, by their names in the schema, as far as they are known.
+        device: of tensors in parts that have some.
         """
-        check(state, self.SCHEMA, dict(sides or {}), type(self).__name__.lower())
+        check(state, self.SCHEMA, {**(sides or {}), **self._sides()}, type(self).__name__.lower())
         for name in self.SCHEMA:
-            setattr(self, self._attribute(name), state[name])
+            part = getattr(self, self._attribute(name))
+            if hasattr(part, "load_state_dict"):
+                part.load_state_dict(state[name], sides, device)
+            else:
+                setattr(self, self._attribute(name), state[name])
+
+    def _sides(self) -> Sides:
+        """Sides that this object knows."""
+        return {}
 
     def _attribute(self, name: str) -> str:
         return f"_{name}" if hasattr(self, f"_{name}") else name
