@@ -19,7 +19,6 @@ from fide_plugins.uncertainty.local_fit import (
     WIDER,
     FitToTarget,
     deviations,
-    fit_from_afar,
     fit_locally,
     noise_of,
     scale_of,
@@ -31,7 +30,6 @@ from fide_plugins.uncertainty.samples import (
     features_of,
     floored,
     independent,
-    less_alike,
     most_alike,
     surroundings,
 )
@@ -199,9 +197,6 @@ def looks_alike(model: FitToTarget, pairs: Pairs) -> bool:
 # -- the estimate ----------------------------------------------------------------------------------
 
 
-_PARTS = (0.5, 0.65, 0.8)  # of the way, in logarithms, to the farthest features of the run
-
-
 @dataclass(eq=False)
 class LocalEstimate:
     """How sure the parameters of a solution are, computed when it is first read.
@@ -281,22 +276,15 @@ class LocalEstimate:
 
         The features of all of them, and of the target, are turned into few at once.
         """
-        wide = less_alike(around, near)
-        parts = [near, wide, *(rows for other in others for rows in (other.rows, other.own))]
+        parts = [near, *(rows for other in others for rows in (other.rows, other.own))]
         f = independent(target, len(self.target), around.features)
         every, target = compressed(around.features[np.concatenate(parts)], target)
         ends = np.cumsum([len(rows) for rows in parts])
-        e, of_wide, *of_others = np.split(every, ends[:-1])
+        e, *of_others = np.split(every, ends[:-1])
         fit = fit_locally(around.steps(near), e, floored(around.distances[near]))
         pairs = [
             Pairs(around.steps(other.rows), theirs, around.steps(other.own), own, other.own)
             for other, theirs, own in zip(others, of_others[::2], of_others[1::2], strict=True)
         ]
         farthest = float(around.distances[around.own].max())
-        distances = floored(around.distances[wide])
-        ratio = max(farthest / fit.reach, 1.0)
-        from_afar = tuple(
-            fit_from_afar(around.steps(wide), of_wide, distances, fit.reach * ratio**part)
-            for part in _PARTS
-        )
-        return FitToTarget(fit, target, f, farthest, from_afar), pairs
+        return FitToTarget(fit, target, f, farthest), pairs

@@ -213,8 +213,6 @@ def test_nothing_is_written_before_it_can_begin(tmp_path: Path) -> None:
     for seed in (-1, 1.5, "a", True):
         with pytest.raises(OptionError, match="seed must be a whole number >= 0"):
             learn(plain, 2, size=SIDE, out=tmp_path / "m", seed=seed)  # type: ignore[arg-type]
-    with pytest.raises(OptionError, match="workers=0 renders in this process: leave out executor"):
-        learn(plain, 2, size=SIDE, out=tmp_path / "m", workers=0, executor="threads")
     with pytest.raises(OptionError, match="workers must be a whole number >= 0"):
         learn(plain, 2, size=SIDE, out=tmp_path / "m", workers=-1)
     lock = threading.Lock()
@@ -293,7 +291,6 @@ def test_time_is_kept() -> None:
         ({"groups": [[0], [0]]}, OptionError, "must not overlap"),
         ({"emulator": True}, OptionError, "an emulator needs exchangeable blocks"),
         ({"emulator": 1}, OptionError, "emulator is True, False or None, not 1"),
-        ({"executor": "tcp://host:8786"}, OptionError, "executor must be 'processes', 'threads'"),
         (
             {"on_progress": 3},
             OptionError,
