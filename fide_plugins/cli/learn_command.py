@@ -201,7 +201,5 @@ def _line(progress: Any) -> str:
         case "emulate":
             explained = f"{1 - progress.held_out:.1%} of the variance explained"
             return f"emulator, pass {done}  held-out renders: {explained}"
-        case "calibrate":
-            return f"calibrating {done} at most"
         case _:
             return f"judging {done}"

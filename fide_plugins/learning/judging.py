@@ -6,8 +6,7 @@ import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
-from typing import Any, Self, TypeAlias
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -25,7 +24,6 @@ LARGEST_SCALE = 4.0
 COVERAGE = 0.9  # of the region of highest density
 DRAWS = 99  # so that a calibrated truth is among the 90 densest of 100 in 90 %
 _STEP = 1.2
-_MOST_SCALES = 1 + math.ceil(math.log(LARGEST_SCALE) / math.log(_STEP))  # that are tried
 _FEWEST, _MOST = 50, 300  # renders: they tell their share to 4 %, and to 2 %
 ENOUGH = 2 * _FEWEST  # held-out renders for a scale, which half of them choose
 
@@ -46,9 +44,6 @@ _PICTURES = 300
 _BATCH = 500
 _EXPLAINED = 0.9  # of the variance of renders: a worse emulator misleads
 
-OnPicture: TypeAlias = Callable[[int, int], None]
-"""Called after each held-out picture with how many are done, and how many there are at most."""
-
 
 # -- calibration -----------------------------------------------------------------------------------
 
@@ -64,9 +59,7 @@ def split_held_out(aside: Mask) -> tuple[Mask, Mask]:
     return fit, aside & ~fit
 
 
-def fitted_scale(
-    network: Network, x: Float64, images: Pixels, seed: int = 0, on_picture: OnPicture | None = None
-) -> float:
+def fitted_scale(network: Network, x: Float64, images: Pixels, seed: int = 0) -> float:
     """Scale in [1, 4] by which 90 % regions hold 90 % of renders, x (n, d), images (n, H, W, 3).
 
     A network that has seen its renders several times is too sure of itself; one scale of all
@@ -77,11 +70,9 @@ def fitted_scale(
     """
     if not len(x):
         return 1.0
-    done = 0
 
     def coverage(scale: float) -> float:
         """Share of renders whose parameters are in their 90 % region."""
-        nonlocal done
         network.scale = scale
         generator = torch.Generator().manual_seed(seed)
         u = torch.from_numpy(x.astype(np.float32))
@@ -89,9 +80,6 @@ def fitted_scale(
         for i in range(len(x)):
             image = as_input(images[i : i + 1])
             inside.append(in_region(network, image, network.sample(image, DRAWS, generator), u[i]))
-            done += 1
-            if on_picture is not None:
-                on_picture(done, _MOST_SCALES * len(x))
         return float(np.mean(inside))
 
     before, scale = network.scale, 1.0
@@ -354,18 +342,18 @@ def report_of(
     *,
     failed: int,
     emulated: float | None,
-    on_progress: Callable[[str, int, int], None],
+    on_picture: Callable[[int, int], None],
 ) -> Report:
     """Calibrate the network, which its training has left, and judge it on held-out renders.
 
     names: (d,), of the axes.  failed: renders that failed.  emulated: see `Report`.
-    on_progress: called with stage, done and total of a `LearnProgress`, after each picture.
+    on_picture: called with how many pictures are judged, and of how many.
     """
     x, seed = training.x, training.seed
     aside = is_held_out(len(x))
     fit, judges = split_held_out(aside)
     images = training.shown(np.flatnonzero(fit))
-    network.scale = fitted_scale(network, x[fit], images, seed, partial(on_progress, "calibrate"))
+    network.scale = fitted_scale(network, x[fit], images, seed)
     images = training.shown(np.flatnonzero(judges))
     return Report(
         renders=int((~aside).sum()),
@@ -378,7 +366,7 @@ def report_of(
         fitted=int(fit.sum()),
         emulated=emulated,
         clutter=None if training.clutter is None else training.clutter.name,
-        **_judged(network, x[judges], images, names, seed, partial(on_progress, "judge")),
+        **_judged(network, x[judges], images, names, seed, on_picture),
     )
 
 
@@ -389,7 +377,7 @@ def _judged(
     images: Pixels,
     names: Sequence[str],
     seed: int,
-    on_picture: OnPicture,
+    on_picture: Callable[[int, int], None],
 ) -> dict[str, Any]:
     """Those fields of `Report` that renders measure, x (n, d) and images (n, H, W, 3)."""
     periodic, blocks = network.periodic, np.array(network.blocks, np.intp)

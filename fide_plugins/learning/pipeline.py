@@ -89,9 +89,8 @@ def has_emulator(emulator: bool | None, blocks: Sequence[Sequence[int]], clutter
 class LearnProgress:
     """What `learn` says of its progress.
 
-    stage: "render", "train", "emulate", "calibrate" or "judge".
-    done, total: renders, passes, or held-out pictures.  A picture calibrates once for each scale
-        that is tried; total is then the most there may be, and calibrating may end before it.
+    stage: "render", "train", "emulate" or "judge".
+    done, total: renders, passes, or held-out pictures.
     held_out: loss after the last pass: negative log-likelihood in nats, or the share of the images'
         variance that the emulator does not explain; None in the other stages.
     """
@@ -150,7 +149,7 @@ class _Plan:
             emulator, emulated = self._emulator(x, images, folder)
         report = report_of(
             network, density, self._names, failed=failed, emulated=emulated,
-            on_progress=lambda *at: self.on_progress(LearnProgress(*at)),
+            on_picture=lambda *at: self.on_progress(LearnProgress("judge", *at)),
         )  # fmt: skip
         return Model(
             network=network, space=self.renderer.space, shape=self.shape,
@@ -327,7 +326,7 @@ def learn(
         or left as they are where renders have no coverage.
     on_progress
         called after every shard of renders, after every pass, and after every held-out picture that
-        calibrates or judges the model.
+        judges the model.
 
     Raises
     ------
