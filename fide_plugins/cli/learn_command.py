@@ -107,7 +107,7 @@ def _learn(args: argparse.Namespace, command: list[str], arguments: dict[str, An
             Interrupts() as interrupts,
             interrupts.stoppable(),  # each file is written at once
         ):
-            model = learn(**arguments, on_progress=_Lines())
+            model = learn(**arguments, on_progress=_lines())
     except Interrupted as stop:
         note(f"{who}: {stop}; {_KEPT} {plain(args.out)}.renders")
         note(f"continue with: {continuation(command)}")
@@ -173,19 +173,19 @@ def _renderer(args: argparse.Namespace) -> tuple[Any, Any]:
     return fide_tasks.make(args.source, size, 0, **dict(args.task_set)), None
 
 
-class _Lines:
+def _lines() -> Callable[[Any], None]:
     """Lines of progress on standard error: one a pass, and one now and then elsewhere."""
+    last = time.monotonic()
 
-    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
-        self._now, self._last = now, now()
-
-    def __call__(self, progress: Any) -> None:
-        late = self._now() - self._last >= interval(_EVERY)
-        is_pass = progress.stage in ("train", "emulate")
+    def report(progress: Any) -> None:
+        nonlocal last
+        late = time.monotonic() - last >= interval(_EVERY)
         rendered = progress.stage == "render" and progress.done == progress.total
-        if late or is_pass or rendered:
-            self._last = self._now()
+        if late or rendered or progress.stage in ("train", "emulate"):
+            last = time.monotonic()
             note(_line(progress))
+
+    return report
 
 
 def _line(progress: Any) -> str:

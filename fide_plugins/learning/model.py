@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fide_plugins.denoiser.network import autocast
+from fide_plugins.denoiser.network import full_precision
 from fide_plugins.errors import CheckpointError, ImageError, ModelNotFoundError, OptionError
 from fide_plugins.learning.emulator import Emulator, inverted
 from fide_plugins.learning.judging import LARGEST_SCALE, Familiarity, Report
@@ -67,7 +67,7 @@ _SCHEMA: Schema = {
 @contextmanager
 def _full_precision() -> Iterator[None]:
     """Float32, whatever autocast the caller's thread is in; begun anew by every call."""
-    with autocast("float32", torch.device("cpu")):
+    with full_precision(torch.device("cpu")):
         yield
 
 
