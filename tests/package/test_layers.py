@@ -26,7 +26,7 @@ LAYERS = (
     ("comparing", "state"),
     ("recording",),
     ("fide",),
-    ("distributed", "fitting"),
+    ("fitting",),
     ("solutions", "watch"),
     ("cli",),
     ("__main__",),
