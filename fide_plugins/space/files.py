@@ -1,4 +1,4 @@
-"""A space as plain dictionaries, lists, texts and numbers, for JSON, and as a file in TOML.
+"""A space as plain dictionaries, lists, texts and numbers, for JSON and TOML.
 
     {"azimuth": {"type": "float", "low": -60.0, "high": 60.0, "unit": "deg", "periodic": true},
      "floor": {"type": "choice", "values": ["checker", "wood"]},
@@ -10,7 +10,6 @@ is a choice if it has "values", and else a float.  Keys that are as by default a
 
 from __future__ import annotations
 
-import json
 import os
 import tomllib
 from collections.abc import Mapping
@@ -20,10 +19,10 @@ from typing import Any
 import numpy as np
 
 from fide_plugins.errors import SpaceError, did_you_mean
-from fide_plugins.space.group import Group, Member, Repeated
 from fide_plugins.space.kinds import Choice, Float, Int, Kind
+from fide_plugins.space.space import Group, Member, Repeated
 
-__all__ = ["from_dict", "parse_toml", "read_toml", "to_dict", "to_toml"]
+__all__ = ["from_dict", "parse_toml", "read_toml", "to_dict"]
 
 _KINDS: dict[str, type[Kind]] = {kind.type: kind for kind in (Float, Int, Choice)}
 _PLAIN = (str, int, float, bool, type(None))
@@ -142,31 +141,3 @@ def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
         return parse_toml(data.decode("utf-8-sig"))  # Windows begins files with a mark
     except UnicodeDecodeError as error:
         raise SpaceError(f"no TOML: {error}; save it as UTF-8") from None
-
-
-def to_toml(data: Mapping[str, Any]) -> str:
-    """Tables as a text."""
-    return "\n".join(_table((key,), value) for key, value in data.items())
-
-
-def _table(path: tuple[str, ...], data: Mapping[str, Any]) -> str:
-    inner = {key: value for key, value in data.items() if isinstance(value, Mapping)}
-    name = ".".join(key if key.isascii() else _value(path, key) for key in path)
-    own = [
-        f"{key if key.isascii() else _value(path, key)} = {_value(path, value)}\n"
-        for key, value in data.items()
-        if key not in inner
-    ]
-    tables = [_table((*path, key), value) for key, value in inner.items()]
-    return "\n".join(["".join([f"[{name}]\n", *own]), *tables])
-
-
-def _value(path: tuple[str, ...], value: Any) -> str:
-    """A value as TOML has it, which escapes texts as JSON does, and DEL."""
-    if isinstance(value, list):
-        return f"[{', '.join(_value(path, each) for each in value)}]"
-    if value is None:
-        raise SpaceError(f"[{'.'.join(path)}] holds None, which TOML cannot; use the text 'none'")
-    if isinstance(value, str | bool):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    return repr(value)

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fide_plugins import Choice, Float, Group, Int, Space
+from fide_plugins import Float, Group, Space
 from fide_plugins.errors import CheckpointError, ImageError, SpaceError
 from fide_plugins.learning.emulator import Emulator
 from fide_plugins.learning.judging import Familiarity, Report
@@ -112,15 +112,14 @@ def refused(
 
 
 def test_spaces(tmp_path: Path) -> None:
-    space = Space(
-        azimuth=Float(-60, 60, unit="deg", periodic=True),
-        size=Float(1e-3, 10, log=True),
-        columns=Int(3, 8, step=2),
-        floor=Choice("checker", "wood", 3, True),
-        beads=6 * Group(x=Float(0, 1, step=0.1), at=Group(y=Float(0, 1))),
-    )
     path = tmp_path / "space.toml"
-    space.write(path)
+    path.write_text(
+        '[azimuth]\nlow = -60\nhigh = 60\nunit = "deg"\nperiodic = true\n'
+        "[size]\nlow = 0.001\nhigh = 10\nlog = true\n"
+        '[columns]\ntype = "int"\nlow = 3\nhigh = 8\nstep = 2\n'
+        '[floor]\nvalues = ["checker", "wood", 3, true]\n[beads]\nrepeat = 6\n'
+        "[beads.x]\nlow = 0\nhigh = 1\nstep = 0.1\n[beads.at.y]\nlow = 0\nhigh = 1\n"
+    )
     assert refused(path, path.read_bytes(), Space.read, SpaceError) > NUMBER / 2
 
 

@@ -135,7 +135,7 @@ def test_numpy_numbers_may_be_the_values_of_a_choice(tmp_path: Path) -> None:
     result = fit(render, np.full((8, 8), 0.5), space, budget=30, **arguments)
     again = fit(render, np.full((8, 8), 0.5), space, budget=40, resume=True, **arguments)
     assert result.params is not None and result.params["n"] > 0 and again.evaluations == 40
-    assert Space.from_toml(space.to_toml()) == Space(x=Float(0, 1), n=Choice(0, 1, 2))
+    assert Space.from_dict(space.to_dict()) == Space(x=Float(0, 1), n=Choice(0, 1, 2))
 
 
 def test_a_loss_of_one_s_own_is_given_again(tmp_path: Path) -> None:
