@@ -1,9 +1,21 @@
-"""A space of named parameters: dictionaries of physical values <-> points of the unit cube."""
+"""A space of named parameters: dictionaries of physical values <-> points of the unit cube.
+
+As plain data, for JSON and TOML:
+
+    {"azimuth": {"type": "float", "low": -60.0, "high": 60.0, "unit": "deg", "periodic": true},
+     "floor": {"type": "choice", "values": ["checker", "wood"]},
+     "beads": {"repeat": 6, "x": {"type": "float", "low": 0.0, "high": 1.0}}}
+
+What has a key besides tables and "repeat" is a parameter, all else is a group.  Without a "type" it
+is a choice if it has "values", and else a float.  Keys that are as by default are left out.
+"""
 
 from __future__ import annotations
 
 import os
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields
 from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
@@ -19,6 +31,9 @@ __all__ = ["Group", "Leaf", "Member", "Params", "Repeated", "Space"]
 
 Params = dict[str, Any]
 
+_KINDS: dict[str, type[Kind]] = {kind.type: kind for kind in (Float, Int, Choice)}
+_PLAIN = (str, int, float, bool, type(None))
+_MOST_BYTES = 2**24  # of a file: 200,000 parameters
 _MOST_COPIES = 100_000  # of a group
 _IN_FILES = ("repeat", "type")  # keys of the file form
 _CONSTRAINTS = "constraints"
@@ -317,9 +332,7 @@ class Space(_Constant):
 
         Raises SpaceError if a Choice has values that JSON does not have.
         """
-        from fide_plugins.space import files
-
-        data = files.to_dict(self._members)
+        data = _as_data(self._members)
         return data | ({_CONSTRAINTS: self.constraints} if self._expressions else {})
 
     @classmethod
@@ -328,21 +341,21 @@ class Space(_Constant):
 
         Raises SpaceError, naming table and key.
         """
-        from fide_plugins.space import files
-
         constraints = data.get(_CONSTRAINTS) if isinstance(data, Mapping) else None
         if constraints is None:
-            return cls(files.from_dict(data))
+            return cls(_members_from(data))
         _expressions(constraints)  # it may be meant as a parameter, perhaps the only one
         members = {key: value for key, value in data.items() if key != _CONSTRAINTS}
-        return cls(files.from_dict(members), constraints=constraints)
+        return cls(_members_from(members), constraints=constraints)
 
     @classmethod
     def from_toml(cls, text: str) -> Self:
         """Space of the text of a TOML file; raises as `read`."""
-        from fide_plugins.space import files
-
-        return cls.from_dict(files.parse_toml(text))
+        try:
+            data = tomllib.loads(text)
+        except (ValueError, RecursionError) as error:  # also a number of 5,000 digits
+            raise SpaceError(f"no TOML: {error}; write [name] and below it key = value") from None
+        return cls.from_dict(data)
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Self:
@@ -350,10 +363,17 @@ class Space(_Constant):
 
         Raises SpaceError, naming file, table and key, and OSError if the file cannot be read.
         """
-        from fide_plugins.space import files
-
+        with open(path, "rb") as file:
+            data = file.read(_MOST_BYTES + 1)
         try:
-            return cls.from_dict(files.read_toml(path))
+            if len(data) > _MOST_BYTES:
+                raise SpaceError(
+                    f"it has more than {_MOST_BYTES:,} bytes; name the file of a space"
+                )
+            return cls.from_toml(data.decode("utf-8-sig"))  # Windows begins files with a mark
+        except UnicodeDecodeError as error:
+            why = f"{os.fspath(path)}: no TOML: {error}; save it as UTF-8"
+            raise SpaceError(why) from None
         except SpaceError as error:
             raise SpaceError(f"{os.fspath(path)}: {error}") from None
 
@@ -421,3 +441,97 @@ def _numbers(members: Mapping[str, Member], params: object, prefix: str) -> Iter
                 yield from _numbers(member.group.members, each, f"{name}[{i}].")
         else:
             yield member.number(name, value)
+
+
+# -- plain data ------------------------------------------------------------------------------------
+
+
+def _as_data(members: Mapping[str, Member], prefix: str = "") -> dict[str, Any]:
+    """Plain data of the members of a space or group."""
+    return {key: _data(prefix + key, member) for key, member in members.items()}
+
+
+def _data(name: str, member: Member) -> dict[str, Any]:
+    if isinstance(member, Repeated):
+        return {"repeat": member.times, **_as_data(member.group.members, f"{name}.")}
+    if isinstance(member, Group):
+        return _as_data(member.members, f"{name}.")
+    if isinstance(member, Choice):
+        values = [_plain(f"parameter {name!r}", value) for value in member.values]
+        return {"type": "choice", "values": values}
+    given = {each.name: getattr(member, each.name) for each in fields(member)}
+    defaults = {each.name: each.default for each in fields(member)}
+    return {"type": member.type} | {k: v for k, v in given.items() if v != defaults[k]}
+
+
+def _plain(where: str, value: Any) -> Any:
+    """A value of a choice; SpaceError for one that files cannot hold."""
+    value = value.item() if isinstance(value, np.generic) else value
+    if type(value) not in _PLAIN:
+        raise SpaceError(
+            f"{where} has the value {value!r}, which files cannot hold; use texts and look the "
+            "objects up by them"
+        )
+    return value
+
+
+def _members_from(data: object) -> dict[str, Member]:
+    """Members of a space; SpaceError naming table and key if it is none."""
+    if not isinstance(data, Mapping) or not data:
+        raise SpaceError(
+            f"a space must be a dictionary of parameters, at least one, not {data!r}; write a "
+            "table for each, such as [x] with low = 0, high = 1"
+        )
+    try:
+        return _members_of(data, "")
+    except RecursionError:
+        raise SpaceError("tables are nested too deeply; write fewer groups in each other") from None
+
+
+def _members_of(data: Mapping[str, Any], prefix: str) -> dict[str, Member]:
+    return {key: _member(f"{prefix}{key}", value) for key, value in data.items()}
+
+
+def _member(table: str, data: object) -> Member:
+    try:
+        if not isinstance(data, Mapping) or not data:
+            raise SpaceError(
+                f"must be a table, not {data!r}; write [{table}] and below it low = 0, high = 1"
+            )
+        own = {key for key, value in data.items() if not isinstance(value, Mapping)}
+        return _parameter(data) if own - {"repeat"} else _group(table, data)
+    except SpaceError as error:
+        if str(error).startswith("["):  # an inner table has said where
+            raise
+        raise SpaceError(f"[{table}] {error}") from None
+
+
+def _parameter(data: Mapping[str, Any]) -> Kind:
+    name = data.get("type", "choice" if "values" in data else "float")
+    if not isinstance(name, str) or name not in _KINDS:
+        hint = did_you_mean(name, _KINDS)
+        raise SpaceError(f"type: must be one of {', '.join(_KINDS)}, not {name!r}{hint}")
+    kind = _KINDS[name]
+    known = ["type", *(each.name for each in fields(kind))]
+    for key in data:
+        if key not in known:
+            hint = did_you_mean(key, known)
+            raise SpaceError(f"{key}: unknown key; {name} has {', '.join(known)}{hint}")
+    for key in ("values",) if kind is Choice else ("low", "high"):
+        if key not in data:
+            raise SpaceError(f"{key}: missing; write {key} = ... below it")
+    values = {key: value for key, value in data.items() if key != "type"}
+    if kind is not Choice:
+        return kind(**values)
+    listed = values["values"]
+    if not isinstance(listed, list | tuple):
+        raise SpaceError(f'values: must be a list such as ["a", "b"], not {listed!r}')
+    return Choice(*(_plain("values:", value) for value in listed))
+
+
+def _group(table: str, data: Mapping[str, Any]) -> Group | Repeated:
+    members = {key: value for key, value in data.items() if key != "repeat"}
+    if not members:
+        raise SpaceError(f"is empty; write low = 0, high = 1 below it, or tables [{table}.NAME]")
+    group = Group(_members_of(members, f"{table}."))
+    return group * data["repeat"] if "repeat" in data else group
