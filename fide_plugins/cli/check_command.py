@@ -57,8 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
-    from fide_plugins.fitting.checking import check
-    from fide_plugins.fitting.checking.report import as_data, figure, lines
+    from fide_plugins.fitting.checking import as_data, check, figure, lines
 
     who = "fide check"
     with warnings_as_notes(who):
@@ -85,7 +84,7 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
 
 def _tell(renders: int, seconds: float) -> None:
     if seconds > _WORTH_TELLING:
-        from fide_plugins.fitting.checking.report import duration
+        from fide_plugins.fitting.checking import duration
 
         note(f"fide check: {renders} more renders, about {duration(seconds)}")
 

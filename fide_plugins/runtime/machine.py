@@ -120,7 +120,6 @@ EXTRAS = {
     "dask": ("distributed",),
     "dfols": ("DFO-LS",),
     "report": ("jinja2", "matplotlib"),
-    "tensorboard": ("tensorboard",),
 }
 """Packages of each extra of pyproject.toml, but for those of this project's development.
 

@@ -34,7 +34,7 @@ def test_compare_runs_everything_and_makes_the_report(capsys: pytest.CaptureFixt
     assert len(set(line.findall(captured.err))) == 4
     assert "| optimizer" in captured.out and captured.out.endswith("look at out/report.html\n")
     assert "Success is loi of 0.5 or less." in captured.out
-    names = {"report.html", "report.md", "results.csv", "curves.csv", "figures", "cells", "targets"}
+    names = {"report.html", "report.md", "results.csv", "figures", "cells", "targets"}
     assert names <= set(os.listdir("out"))
     (call,) = compare.read("out").calls
     assert call["command"] == ["fide", *words, "--threshold", "loi=0.5"]

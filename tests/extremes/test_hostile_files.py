@@ -25,7 +25,6 @@ from fide_plugins.recording.storage import read_checkpoint
 from fide_plugins.runtime import checkpoint
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.images import as_target
-from fide_tasks import scene_xml
 
 CASES = int(os.environ.get("FIDE_CASES", "1"))  # times as many as in CI
 FOLDER = Path(tempfile.mkdtemp())  # for files that a case writes over
@@ -250,26 +249,3 @@ def test_bombs(kind: str, tmp_path: Path) -> None:
     (tmp_path / "bomb").write_bytes(BOMBS[kind])
     with pytest.raises(ImageError):
         as_target(tmp_path / "bomb")
-
-
-SCENE = b"""<scene version="3.0.0">
-  <default name="spp" value="4"/>
-  <sensor type="perspective"><film type="hdrfilm"/></sensor>
-  <emitter type="constant"/>
-  <shape type="obj"><string name="filename" value="part.obj"/></shape>
-  <include filename="more.xml"/>
-</scene>"""
-(FOLDER / "part.obj").write_text("v 0 0 0\n")
-(FOLDER / "more.xml").write_text('<scene version="3.0.0"></scene>')
-
-
-@settings(max_examples=150 * CASES, deadline=None)
-@given(damages)
-def test_a_damaged_scene_is_a_scene_or_refused(kinds: list[tuple[int, int, int]]) -> None:
-    (FOLDER / "scene.xml").write_bytes(damage(SCENE, kinds))
-    try:
-        scene = scene_xml.read(FOLDER / "scene.xml")
-    except (ValueError, OSError):
-        return
-    named = [e.get("value", "") for e in scene.iter("string") if e.get("name") == "filename"]
-    assert all(Path(name).resolve().is_relative_to(FOLDER.resolve()) for name in named if name)

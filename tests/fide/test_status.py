@@ -25,36 +25,19 @@ RUN = Facts(evaluations=3000, best=0.01, improved_at=1200, horizon=500, ended=[2
         (replace(RUN, improved_at=2800), "improving", "Still improving"),
         (replace(RUN, ended=[]), "stalled", "since evaluation 1,200"),
         (replace(RUN, ended=[1, 0]), "stalled", "of one search, no second one began elsewhere. Un"),
-        (
-            RUN,
-            "unsure",
-            "Of 4 searches from different starting points 2 ended at this answer, the others at 2",
-        ),
+        (RUN, "unsure", "2 of 4 searches from different starting points ended at this answer"),
         (replace(RUN, ended=[5, 1]), "agreed", "5 of 6 searches from different starting points"),
         (replace(RUN, ended=[5, 1], forgotten=3), "agreed", "5 of 9 searches"),
-        (
-            replace(RUN, ended=[5, 1], forgotten=4),
-            "unsure",
-            "10 searches from different starting",
-        ),
-        (
-            replace(RUN, ended=[5, 1], forgotten=4),
-            "unsure",
-            "5 ended at this answer, the others at more than 1",
-        ),
-        (
-            replace(RUN, ended=[2, 0]),
-            "unsure",
-            "2 searches from different starting points ended",
-        ),
-        (replace(RUN, ended=[0, 3]), "unsure", "points none ended at this answer, the others at 1"),
-        (replace(RUN, ended=[3, 3]), "unsure", "the others at 1, so there may be a better one"),
+        (replace(RUN, ended=[5, 1], forgotten=4), "unsure", "5 of 10 searches"),
+        (replace(RUN, ended=[2, 0]), "unsure", "answer, too few to be sure"),
+        (replace(RUN, ended=[0, 3]), "unsure", "0 of 3 searches"),
+        (replace(RUN, ended=[3, 3]), "unsure", "so there may be a better one"),
         (
             replace(RUN, others=0.012, apart=0.42),
             "unsure",
-            "the others at 2 (the best of these has loss 0.012; parameters differ by up to 42% of "
-            "their range), so there may be a better one: fit again with another seed and compare "
-            "the losses, or give more renders.",
+            "(the best of the others has loss 0.012; parameters differ by up to 42% of their "
+            "range), so there may be a better one: fit again with another seed and compare the "
+            "losses, or give more renders.",
         ),
         (replace(RUN, best=-1.0), "unsure", "loss -1"),
         (

@@ -114,6 +114,8 @@ class Baseline(Saved):
 
     own_options: ClassVar[tuple[str, ...]] = ()
     """Arguments of a subclass's constructor that are attributes, beside those of its bases."""
+    more_options: ClassVar[tuple[str, ...]] = ()
+    """Arguments of its constructor that it takes by ``**options``."""
     keeps_features: ClassVar[bool] = True
     """Whether the history holds the features of images, for the replay."""
     status = None

@@ -23,7 +23,7 @@ def write(
     page: str | os.PathLike[str],
     thresholds: dict[str, float] | None = None,
 ) -> Written:
-    """Write the page, report.md, results.csv, curves.csv and figures/ into one folder.
+    """Write the page, report.md, results.csv and figures/ into one folder.
 
     page: path of report.html.  For another name, the names of the other files start with it:
         a.html, a.md, a-results.csv.
@@ -53,7 +53,6 @@ def write(
     )
     document.write(path)
     files.write_text(companion(path, "results.csv"), tables.results_csv(results))
-    files.write_text(companion(path, "curves.csv"), tables.curves_csv(results))
     overview = [
         f"{panel.name}: {sentences.summary(panel)}\n\n{tables.plain(tables.ranking(panel))}"
         for panel in found

@@ -9,9 +9,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from fide_lab.compare.results import AXES, Results
+from fide_lab.compare.results import Results
 from fide_plugins.recording.record import PARTS
 
 if TYPE_CHECKING:
@@ -158,9 +156,7 @@ def _metrics(panel: Panel) -> list[str]:
     return list(dict.fromkeys(name for each in judged for name in each))
 
 
-# -- CSV: the totals of every run, and its curve at a few marks ------------------------------------
-
-_MARKS_A_DECADE = 12
+# -- CSV: the totals of every run ------------------------------------------------------------------
 
 
 def results_csv(results: Results) -> str:
@@ -186,28 +182,6 @@ def results_csv(results: Results) -> str:
                 *(_round(t["times"][part]) for part in PARTS), result.run.get("load"),
             ]  # fmt: skip
         rows.append(row + [None] * (len(names) - len(row)))
-    return as_csv(names, rows)
-
-
-def curves_csv(results: Results) -> str:
-    """The best loss so far of every finished run, at geometrically spaced numbers of renders.
-
-    Seconds belong to the evaluation that reached the loss.
-    """
-    names = ["task", "loss", "optimizer", "seed", *AXES, "best_loss", *results.settings["metrics"]]
-    rows: list[list[Any]] = []
-    for result in results.runs:
-        curve = result.curve
-        if curve is None or not len(curve.loss):
-            continue
-        key = [*map(_text, result.key[:3]), result.key.seed]
-        end = curve.ends["renders"]
-        marks = np.rint(np.geomspace(1, end, 2 + int(_MARKS_A_DECADE * np.log10(max(end, 1)))))
-        for mark in np.unique(marks[marks >= curve.at["renders"][0]]).tolist():
-            i = int(np.searchsorted(curve.at["renders"], mark, side="right")) - 1
-            values = [curve.loss[i], *(value[i] for value in curve.metrics.values())]
-            where = [int(mark), _round(curve.at["seconds"][i])]
-            rows.append([*key, *where, *(f"{value:.6g}" for value in values)])
     return as_csv(names, rows)
 
 

@@ -1,4 +1,4 @@
-"""The page of a suite: profiles, and tables of solved problems and lowest losses."""
+"""The page of a suite: data profile, and tables of solved problems and lowest losses."""
 
 from __future__ import annotations
 
@@ -14,14 +14,7 @@ from fide_lab.compare.results import Results
 from fide_lab.report import plots, sentences, statistics
 from fide_lab.report.document import Document, Picture, Section, Written, companion, page_path
 from fide_lab.report.tables import Strong, Table, as_csv, number, plain
-from fide_lab.suite.scores import (
-    Scores,
-    data_profile,
-    performance_profile,
-    performance_ratios,
-    scores,
-    within,
-)
+from fide_lab.suite.scores import Scores, data_profile, scores
 from fide_plugins.runtime import files
 from fide_plugins.runtime.messages import counted
 from fide_plugins.types import Float64
@@ -37,8 +30,6 @@ _METHOD = (
     "beforehand are the largest.",
     "The data profile (Moré and Wild 2009; COCO) shows the share of problems solved within so many "
     "renders.",
-    "The performance profile of a budget (Dolan and Moré 2002) shows the share of problems solved "
-    "within the budget and within tau times the renders of the fastest optimizer of that problem.",
     "p is that of the exact McNemar test (a sign test of the problems that one of two optimizers "
     "solves and the other does not) against the optimizer that solves most, adjusted for all "
     "rivals (Benjamini and Hochberg). In brackets: on how many problems that optimizer is ahead of "
@@ -81,12 +72,14 @@ def write_scores(found: Scores, origin: Origin, page: str | os.PathLike[str]) ->
     names = list(found.labels)  # with all options: pages of a suite are put beside one another
     tables = [totals(found, names), by_scene(found, names), lowest(found, names)]
     said = [_part(found), *remarks(found)]
+    figure = plots.png(data_profile_figure(found, names))
+    profile = Picture("data-profile", "Share of problems solved within so many renders", figure)
     Document(
         f"Suite {found.suite.name}",
         [*said, f"{_facts(found)}."],
         origin.calls,
         [
-            Section("Profiles", pictures=list(_pictures(found, names))),
+            Section("Share of problems solved within so many renders", pictures=[profile]),
             *(Section(table.caption, tables=[table]) for table in [*tables, _thresholds(found)]),
         ],
         _METHOD,
@@ -95,18 +88,6 @@ def write_scores(found: Scores, origin: Origin, page: str | os.PathLike[str]) ->
     files.write_text(companion(path, "solved.csv"), _csv(found))
     shown = "\n\n".join(map(plain, tables))
     return Written(path, "\n".join(said) + f"\n\n{shown}\n")
-
-
-def _pictures(found: Scores, names: list[str]) -> Iterable[Picture]:
-    """The data profile, and a performance profile a budget."""
-    title = "Share of problems solved within so many renders"
-    yield Picture("data-profile", title, plots.png(data_profile_figure(found, names)))
-    for budget in found.budgets:
-        title = (
-            f"Share solved within tau times the renders of the fastest, {number(budget)} renders"
-        )
-        figure = performance_profile_figure(found, names, budget)
-        yield Picture(f"performance-{budget}", title, plots.png(figure))
 
 
 def _thresholds(found: Scores) -> Table:
@@ -173,19 +154,6 @@ def data_profile_figure(found: Scores, names: Sequence[str]) -> Figure:
     begin = 0.5 * min([*solved, found.budgets[0]])
     at = np.unique([begin, *solved, float(found.budgets[-1])])
     return plots.profile(at, data_profile(found.t, at), names, "renders", found.budgets)
-
-
-def performance_profile_figure(found: Scores, names: Sequence[str], budget: int) -> Figure:
-    """Figure of the share solved within tau times the renders of the fastest (Dolan and Moré 2002).
-
-    budget: renders after which a problem counts as unsolved.  names: as in `data_profile_figure`.
-    """
-    t = within(found.t, budget)
-    ratios = performance_ratios(t)
-    tau = np.unique([1.0, *ratios[np.isfinite(ratios)]])
-    tau = np.append(tau, max(2.0, 1.3 * tau[-1]))
-    shares = performance_profile(t, tau)
-    return plots.profile(tau, shares, names, "renders / renders of the fastest optimizer")
 
 
 # -- tables: solved problems in all and of each scene, and who has the lowest loss -----------------

@@ -95,20 +95,6 @@ def test_results_csv_has_a_line_for_each_cell(written: Path, study: Path) -> Non
             assert row["final_loss"] == "" and row["seed"] == "2"
 
 
-def test_curves_csv_has_the_best_loss_at_marks(written: Path, study: Path) -> None:
-    rows = list(csv.DictReader(io.StringIO((written.parent / "curves.csv").read_text())))
-    for stored in compare.read(study).runs:
-        mine = [row for row in rows if (row["optimizer"], row["seed"]) ==
-                (stored.key.configuration, str(stored.key.seed))]  # fmt: skip
-        if stored.curve is None:
-            assert not mine
-            continue
-        marks = [int(row["renders"]) for row in mine]
-        assert marks[0] == 1 and marks[-1] == 40 and marks == sorted(set(marks))
-        expected = stored.curve.value("renders", marks)
-        assert [float(row["best_loss"]) for row in mine] == pytest.approx(expected, rel=1e-5)
-
-
 def test_formulas_of_a_spreadsheet_are_led_by_an_apostrophe() -> None:
     text = tables.results_csv(results([result("=cmd|' /C calc'!A0", 0, 0.1)]))
     assert next(iter(csv.reader(io.StringIO(text.splitlines()[1]))))[2] == "'=cmd|' /C calc'!A0"
@@ -203,7 +189,7 @@ def test_one_run_of_one_optimizer_is_a_report_too(tmp_path: Path) -> None:
     written = report.write(compare.read(tmp_path / "a"), tmp_path / "elsewhere" / "page.html")
     assert "random has the lowest median" in written.overview
     names = {path.name for path in (tmp_path / "elsewhere").iterdir()}
-    beside = {"page-results.csv", "page-curves.csv", "page-figures"}
+    beside = {"page-results.csv", "page-figures"}
     assert names == {"page.html", "page.md", *beside}, "another report may lie there"
     assert "](page-figures/images-spline-mse.png)" in written.page.with_suffix(".md").read_text()
 

@@ -93,13 +93,6 @@ def test_ties_and_zeros_are_exact_too(pairs: list[tuple[float, float]]) -> None:
     assert mirrored.p == pytest.approx(found.p)
 
 
-@pytest.mark.parametrize("n", [3, 5, 6, 10])
-def test_better_in_every_pair_is_as_sure_as_n_pairs_can_be(n: int) -> None:
-    found = paired(np.arange(1, n + 1) * 2.0, np.arange(1, n + 1) ** 0.5)
-    assert found.worse == n
-    assert found.p == pytest.approx(found.smallest_p) == pytest.approx(2 * 0.5**n)
-
-
 def test_equal_losses_are_no_difference() -> None:
     found = paired([1.0, 2.0], [1.0, 2.0])
     assert (found.p, found.ratio, found.worse) == (1.0, 1.0, 0)
@@ -110,15 +103,6 @@ def test_zero_and_infinite_losses() -> None:
     assert found.worse == 0 and np.isnan(found.ratio)
     assert paired([np.inf, 5.0, np.inf], [1.0, 2.0, 3.0]).worse == 3
     assert paired([np.inf], [np.inf]).p == 1.0
-
-
-def test_an_exact_answer_is_judged_on_the_scale_of_all_others() -> None:
-    """A loss of 0 counts as one far below the others."""
-    others = [2.1e-3, 2e-3, 2e-3, 2e-3, 2e-3, 1.5e-3]
-    exact = paired([0.02, 0.0, 0.0, 0.0, 0.0, 0.0211], others)
-    near = paired([0.02, 1e-16, 1e-16, 1e-16, 1e-16, 0.0211], others)
-    assert exact.p == pytest.approx(near.p) and exact.worse == near.worse
-    assert paired([0.0, 0.0], [0.0, 0.0]).p == 1.0
 
 
 def test_negative_losses_are_compared_themselves() -> None:
@@ -212,12 +196,6 @@ def test_pairs_are_runs_of_one_seed_and_the_missing_are_left_out() -> None:
     assert panel.against_winner[next(iter(panel.against_winner))].n == 2
 
 
-def test_a_run_without_a_finite_loss_counts_as_infinite() -> None:
-    runs = [result("a", s, v) for s, v in enumerate([0.1, 0.2, None])]
-    (panel,) = panels(results(runs), {})
-    assert panel.rows[0].median == 0.2 and panel.rows[0].ranked[-1].final == np.inf
-
-
 def test_no_optimizer_gains_by_failing() -> None:
     """One that fails wherever it would be bad is no better than the same one without failures."""
     finals = [0.1 + s / 100 for s in range(10)]
@@ -234,14 +212,6 @@ def test_no_optimizer_gains_by_failing() -> None:
     assert panel.to_target(rows["lucky"]) == np.inf
     test = panel.against_winner["lucky"]
     assert test.n == 10 and test.worse == 6
-
-
-def test_missing_runs_are_no_failures() -> None:
-    runs = [result("a", s, 0.1) for s in range(4)] + [result("b", s, 0.2) for s in range(2)]
-    (panel,) = panels(results([*runs, missing("b", 2), missing("b", 3)]), {})
-    rows = {row.label: row for row in panel.rows}
-    assert rows["b"].median == 0.2 and len(rows["b"].finals) == 2
-    assert panel.against_winner["b"].n == 2
 
 
 def test_an_optimizer_without_a_finished_run_is_listed_and_compared() -> None:

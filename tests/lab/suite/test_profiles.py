@@ -12,13 +12,7 @@ from fide_lab.compare.plan import RunKey
 from fide_lab.compare.results import Curve, NoResultsError, Results, StoredRun
 from fide_lab.report import plots
 from fide_lab.suite.page import by_scene, lowest, sign_test, totals
-from fide_lab.suite.scores import (
-    data_profile,
-    performance_profile,
-    performance_ratios,
-    scores,
-    within,
-)
+from fide_lab.suite.scores import data_profile, scores
 
 INF = np.inf
 T = np.array([[10, 20], [INF, 30], [INF, INF], [40, 40.0]])
@@ -28,24 +22,6 @@ def test_data_profile() -> None:
     shares = data_profile(T, [9, 10, 20, 30, 40, 1e9])
     np.testing.assert_array_equal(shares[:, 0], [0, 0.25, 0.25, 0.25, 0.5, 0.5])
     np.testing.assert_array_equal(shares[:, 1], [0, 0, 0.25, 0.5, 0.75, 0.75])
-
-
-def test_performance_profile() -> None:
-    np.testing.assert_array_equal(performance_ratios(T), [[1, 2], [INF, 1], [INF, INF], [1, 1]])
-    shares = performance_profile(T, [1, 1.9, 2, INF])
-    np.testing.assert_array_equal(shares[:, 0], [0.5, 0.5, 0.5, 0.5])
-    np.testing.assert_array_equal(shares[:, 1], [0.5, 0.5, 0.75, 0.75])
-
-
-def test_a_budget_cuts_both_alike() -> None:
-    t = np.random.default_rng(0).choice([*range(1, 90), INF], (50, 4))
-    for budget in (5, 40, 200):
-        cut = within(t, budget)
-        (end,) = data_profile(t, [budget])
-        np.testing.assert_array_equal(performance_profile(cut, [1e9])[0], end)
-        np.testing.assert_array_equal(data_profile(cut, [1e9])[0], end)
-    solved = np.isfinite(t).any(axis=1)  # somebody is fastest wherever anybody solves
-    np.testing.assert_array_equal((performance_ratios(t) == 1).any(axis=1), solved)
 
 
 def test_no_problems() -> None:
