@@ -51,14 +51,12 @@ class NetworkOptions:
     """The published denoiser.  These options are refused where the proposer is no network.
 
     epochs, learning_rate, batch_size, schedule: see `proposers.diffusion`; at most 10,000 epochs.
-    steps: of denoising, evenly, in place of the schedule; at most 1,000, as levels of a schedule.
     """
 
     epochs: int = _option(20, rules.whole(1, 10_000, "4 to 20 are published"))
     learning_rate: float = _option(1e-3, rules.positive)
     batch_size: int = _option(50, rules.whole(1))
     schedule: tuple[float, ...] = _option(PAPER_SCHEDULE, rules.schedule)
-    steps: int | None = _option(None, rules.whole(1, 1000, "3 are published"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,9 +233,3 @@ def _check_together(options: Options, preset: Options) -> None:
                 f"{name}={own[name]!r} is of the network, and the proposer {options.proposer!r} "
                 "has none: leave it out, or take preset='paper' or proposer='diffusion'"
             )
-    network = options.network
-    if network.steps is not None and network.schedule != preset.network.schedule:
-        raise OptionError(
-            f"steps={network.steps} are even steps in place of a schedule: give steps or "
-            "schedule, not both"
-        )

@@ -86,7 +86,6 @@ def _forward(options: Options, dim: int, popsize: int, encoder: PatchEncoder) ->
 
 
 def _diffusion(options: Options, dim: int, seed: int, encoder: PatchEncoder) -> Proposer:
-    from fide_plugins.denoiser.sampling import evenly
     from fide_plugins.proposers.diffusion import DiffusionProposer
 
     o = options.network
@@ -97,5 +96,5 @@ def _diffusion(options: Options, dim: int, seed: int, encoder: PatchEncoder) -> 
         epochs=o.epochs,
         learning_rate=o.learning_rate,
         batch_size=o.batch_size,
-        schedule=o.schedule if o.steps is None else evenly(o.steps),
+        schedule=o.schedule,
     )

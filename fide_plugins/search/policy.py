@@ -32,7 +32,7 @@ from fide_plugins.runtime.schema import (
 )
 from fide_plugins.search.exchangeability import Exchangeability
 from fide_plugins.search.hypotheses import Hypotheses, Resample, probabilities
-from fide_plugins.search.mixed import AxisLayout, Mixed
+from fide_plugins.search.mixed import Mixed
 from fide_plugins.search.moves import (
     ChangeValue,
     Coarsen,
@@ -48,6 +48,7 @@ from fide_plugins.search.moves import (
     Start,
 )
 from fide_plugins.search.scene import Axes, Optima, Removal, Sensitivity, Values, changed
+from fide_plugins.space.layout import Layout
 from fide_plugins.types import Float64, Posterior
 
 _KEEP = 0.85  # of what is known, at each outcome of the same move
@@ -142,7 +143,7 @@ class MovePolicy:
         channels: int | None,
         seed: int,
         groups: Sequence[Sequence[int]] | None = None,
-        layout: AxisLayout | None = None,
+        layout: Layout | None = None,
         posterior: Posterior | None = None,
     ) -> None:
         dim = len(x0)

@@ -25,7 +25,8 @@ from fide_plugins.runtime.schema import (
     whole,
 )
 from fide_plugins.search import mixed
-from fide_plugins.search.mixed import AxisLayout, periodic_axes
+from fide_plugins.search.mixed import periodic_axes
+from fide_plugins.space.layout import Layout
 from fide_plugins.types import Float64, Indices
 
 
@@ -40,7 +41,7 @@ class Axes:
     axes_of: axes of each parameter.
     """
 
-    def __init__(self, dim: int, layout: AxisLayout | None = None) -> None:
+    def __init__(self, dim: int, layout: Layout | None = None) -> None:
         self.dim = dim
         self.periodic = periodic_axes(layout)
         first: Indices = np.arange(dim)  # axis of the parameter of each axis
@@ -91,7 +92,7 @@ class Values(Stateful):
 
     SCHEMA: ClassVar[dict[str, Schema]] = {"searched": array("m", "discrete", low=0.0, high=1.0)}
 
-    def __init__(self, axes: Axes | None = None, layout: AxisLayout | None = None) -> None:
+    def __init__(self, axes: Axes | None = None, layout: Layout | None = None) -> None:
         self._axes, self._layout = axes, layout
         self.discrete = np.zeros(1, bool) if layout is None else layout.discrete
         self.forget()

@@ -128,7 +128,6 @@ def test_a_wrong_value_is_named_with_its_rule(name: str, values: list[Any]) -> N
     ("name", "value"),
     [
         ("epochs", 50),
-        ("steps", 7),
         ("schedule", (0.2, 0.1)),
         ("batch_size", 10),
         ("learning_rate", 0.1),
@@ -144,8 +143,6 @@ def test_what_is_of_the_network_goes_with_a_network(name: str, value: Any) -> No
     assert getattr(make_options("paper", {name: value}).network, name) == value
 
 
-def test_steps_and_a_schedule_contradict_each_other() -> None:
-    with pytest.raises(OptionError, match="give steps or schedule, not both"):
-        make_options("paper", {"steps": 7, "schedule": (0.9, 0.1)})
+def test_a_schedule_has_an_end() -> None:
     with pytest.raises(OptionError, match="at most 1,000, not 1,001"):
         make_options("paper", {"schedule": [1 / n for n in range(1, 1002)]})

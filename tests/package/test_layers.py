@@ -25,7 +25,7 @@ LAYERS = (
     ("comparing", "state"),
     ("recording",),
     ("fide",),
-    ("distributed", "fitting"),
+    ("fitting",),
     ("solutions", "watch"),
     ("cli",),
     ("__main__",),
