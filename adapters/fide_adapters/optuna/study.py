@@ -211,7 +211,8 @@ class StudyState:
         self._common: Distributions | None = None  # what all completed trials have in common
         self._optimizers: OrderedDict[str, StudyOptimizer] = OrderedDict()
         self._first = np.empty(0)  # coordinates of the first candidate
-        self._distributions: dict[str, BaseDistribution] = {}  # the latest search space
+        self._given: dict[str, BaseDistribution] = {}  # the latest search space
+        self._distributions: dict[str, BaseDistribution] = {}  # those of several values
         self._digest = ""
 
     # -- before a trial ----------------------------------------------------------------------------
@@ -295,6 +296,8 @@ class StudyState:
         if trial.number >= len(self._trials):
             self.update(study)
         self._search(distributions)
+        if not self._distributions:
+            return {}
         optimizer = self._optimizer()
         evaluation = partial(self._evaluation, study)
         optimizer.process(self._trials, evaluation)
@@ -315,9 +318,10 @@ class StudyState:
 
     def _search(self, distributions: Distributions) -> None:
         """Make these the current search space."""
-        if distributions != self._distributions:
-            self._distributions = dict(distributions)
-            self._digest = self._settings.digest_of(distributions)
+        if distributions != self._given:
+            self._given = dict(distributions)
+            self._distributions = common(distributions, distributions)
+            self._digest = self._settings.digest_of(self._distributions)
 
     def _optimizer(self) -> StudyOptimizer:
         """Optimizer of the current search space; of those used least recently some are dropped."""
