@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -138,17 +137,6 @@ def test_wrong_images_change_nothing(told: Any, message: str) -> None:
     assert opt.evaluations == 4
 
 
-def test_clipped_values_name_the_view() -> None:
-    opt = FIDE(3, [A, B], seed=0, popsize=4)
-    with pytest.warns(RuntimeWarning, match="view 1: .*clipped"):
-        opt.tell(opt.ask(), [images()[0], images()[1] + 1.5])
-
-
-def test_a_made_loss_is_of_one_view() -> None:
-    with pytest.raises(LossError, match="made for one target, and there are 2 views"):
-        FIDE(3, [A, B], loss=losses.make("mse", A))
-
-
 @pytest.mark.parametrize("broken", ["one weight too few", "another size", "no picture"])
 def test_a_forged_checkpoint_is_refused(broken: str, tmp_path: Path) -> None:
     opt = FIDE(3, [A, B], mask=[None, np.eye(12, 9, dtype=np.float32)], seed=0, popsize=4)
@@ -162,19 +150,3 @@ def test_a_forged_checkpoint_is_refused(broken: str, tmp_path: Path) -> None:
     checkpoint.write(tmp_path / "c", "fide", saved)
     with pytest.raises(CheckpointError, match="impossible contents"):
         FIDE.load(tmp_path / "c")
-
-
-@pytest.mark.parametrize("shape", [(6, 8, 8), (6, 8, 2), (5, 6, 8), (7, 6, 8, 3)])
-def test_several_pictures_in_one_array_become_views_as_the_error_says(
-    shape: tuple[int, ...],
-) -> None:
-    image = np.random.default_rng(0).random(shape)
-    with pytest.raises(ImageError, match="of several pictures make views") as caught:
-        FIDE(2, image)
-    (remedy,) = re.findall(r"make views: (.*), a list", str(caught.value))
-    views = eval(remedy, {"image": image})
-    opt = FIDE(2, views, seed=0)
-    opt.tell(opt.ask(1), [[view] for view in views])
-    assert opt.best is not None and opt.best.loss == pytest.approx(0, abs=1e-12)
-    with pytest.raises(ImageError, match="make views"):
-        opt.tell(opt.ask(1), [[image] for _ in views])
