@@ -55,11 +55,7 @@ class FitInterrupted(Interrupted):
 
 
 class Fitting:
-    """A fit; made by `one_call.prepare`.
-
-    plan: arguments of a `SavedRun`, with which its result can be saved.
-    max_failures: share of the latest renders that may fail, in (0, 1].
-    """
+    """A fit; made by `one_call.prepare`; plan: arguments of a `SavedRun`, to save its result."""
 
     def __init__(
         self,
@@ -90,13 +86,7 @@ class Fitting:
         self._std_renders = 0
 
     def execute(self) -> Result:
-        """Fit until a rule says stop.
-
-        Raises FitInterrupted (a KeyboardInterrupt) after SIGINT or SIGTERM, FitError if hardly any
-        render succeeds or a callback, the loss or the encoder raises, any error of the optimizer,
-        OSError if the run directory cannot be written.  What was computed is saved before, as far
-        as that can be done, and is the attribute `result` of whatever is raised.
-        """
+        """Fit until a rule says stop; raises what `fit` does, after saving what was computed."""
         with (
             nullcontext() if self.saved is None else closing(self.saved),
             Interrupts(once=True) as interrupts,

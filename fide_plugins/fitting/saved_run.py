@@ -38,11 +38,7 @@ _ADAPTS = ("photo", "photometric", "robust", "background")
 
 
 class SavedRun:
-    """What a fit writes, and what it reads when it is resumed.
-
-    Raises RunDirectoryError (a FileExistsError) for a directory of another run, OSError if it
-    cannot be written.
-    """
+    """What a fit writes, and what it reads when it is resumed; raises as `RunDirectory`."""
 
     def __init__(
         self,
@@ -132,10 +128,7 @@ class SavedRun:
         optimizer: FIDE,
         solutions: Sequence[Solution],
     ) -> None:
-        """Write totals and the summary.
-
-        state: see `RunDirectory.write_run`.  stopped, solutions: see `Result`.
-        """
+        """Write totals and the summary; stopped, solutions: see `Result`."""
         result = result_of(
             self._directory.settings,
             record,
