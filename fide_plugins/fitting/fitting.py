@@ -245,11 +245,7 @@ class Fitting:
     # -- ending ------------------------------------------------------------------------------------
 
     def _say_how_sure(self, stopped: str, interrupts: Interrupts) -> None:
-        """Standard deviations (dim,) from renders around the answer, as far as these can be made.
-
-        They are made where the budget has room, or where they add at most a tenth, and where the
-        time has room.  A signal meanwhile ends them, and the fit ends as it would have.
-        """
+        """Render around the answer, where budget and time have room, for standard deviations."""
         best, done = self.optimizer.state.best, self.record.evaluations
         if best is None or best.solution.image is None or stopped in ("time", "callback"):
             return
@@ -270,10 +266,7 @@ class Fitting:
                 self._std, self._std_renders = std, renders
 
     def _end(self, stopped: str, interrupts: Interrupts, error: BaseException | None) -> Result:
-        """Save, and tell the callbacks; raises `error`, or what goes wrong here, with the result.
-
-        No signal stops the writing.
-        """
+        """Save, and tell the callbacks; raises `error`, or what goes wrong, with the result."""
         interrupts.block()
         try:
             self._write("finished" if error is None else stopped, stopped)

@@ -257,10 +257,7 @@ def _in_user_values(optimizer: FIDE, image: Float32 | None) -> Float32 | None:
 
 
 def _verdict(record: Record, optimizer: FIDE) -> Verdict:
-    """The best image as the run has seen it: nobody knows a better one.
-
-    Its squared error counts views and weights as the loss "mse" does.
-    """
+    """The best image as the run has seen it: nobody knows a better one."""
     image = None if record.image is None else best_compared(optimizer)
     if image is None:
         return Verdict()
