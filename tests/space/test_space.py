@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from fide_plugins import Choice, Float, Group, Int, Space
 from fide_plugins.errors import FideError, PointsError, SpaceError
@@ -65,6 +65,7 @@ def same(a: Any, b: Any) -> bool:
     return type(a) is type(b) and bool(a == b)
 
 
+@settings(suppress_health_check=[HealthCheck.too_slow])
 @given(spaces, st.integers(0, 2**32))
 def test_round_trips(space: Space, seed: int) -> None:
     x = point(space, seed)
@@ -79,6 +80,7 @@ def test_round_trips(space: Space, seed: int) -> None:
     np.testing.assert_array_equal(snapped[continuous], x[continuous])
 
 
+@settings(suppress_health_check=[HealthCheck.too_slow])
 @given(spaces)
 def test_a_space_is_a_value(space: Space) -> None:
     data = json.loads(json.dumps(space.to_dict()))

@@ -13,6 +13,7 @@ from fide_plugins import FIDE, losses
 from fide_plugins.errors import CheckpointError, ImageError, LossError
 from fide_plugins.runtime import checkpoint
 from fide_plugins.types import Float32, Float64
+from fide_plugins.views.views import Views, views_of
 
 Render = Callable[[Float64], Float32]
 RNG = np.random.default_rng(3)
@@ -150,3 +151,19 @@ def test_a_forged_checkpoint_is_refused(broken: str, tmp_path: Path) -> None:
     checkpoint.write(tmp_path / "c", "fide", saved)
     with pytest.raises(CheckpointError, match="impossible contents"):
         FIDE.load(tmp_path / "c")
+
+
+def test_the_images_of_one_candidate() -> None:
+    views = Views.read([A, B])
+    np.testing.assert_array_equal(views.batch_of_one([A, B], print)[0], views.target)
+    np.testing.assert_array_equal(Views.read(A).batch_of_one(A, print)[0], A)
+    with pytest.raises(ImageError, match="a render is a list of 2 images"):
+        views.batch_of_one([A], print)
+    with pytest.raises(LossError, match="made for one target, and there are 2 views"):
+        FIDE(3, [A, B], loss=losses.make("mse", A))
+
+
+def test_a_mask_needs_a_target() -> None:
+    assert views_of(None, None, None) is None
+    with pytest.raises(ImageError, match="belong to a target: set target="):
+        views_of(None, A[..., 0], None)
