@@ -84,10 +84,10 @@ COMMAND = f"{sys.executable} draw.py {{x:.6f}} {{gray}} {{rows}} {{shape}} {{out
 @pytest.fixture
 def program(scene: Path) -> Path:
     """``draw.py``, a program with the image of ``scene.py``, and its ``space.toml``."""
-    space = Space(
-        x=Float(-1, 1), gray=Float(0.01, 1), rows=Int(1, 4), shape=Choice("disk", "square")
+    Path("space.toml").write_text(
+        "[x]\nlow = -1\nhigh = 1\n[gray]\nlow = 0.01\nhigh = 1\n"
+        '[rows]\ntype = "int"\nlow = 1\nhigh = 4\n[shape]\nvalues = ["disk", "square"]\n'
     )
-    space.write("space.toml")
     (scene.parent / "draw.py").write_text(DRAW)
     return scene.parent
 
