@@ -67,7 +67,7 @@ class CheckpointTimer:
         self.every = every
         self._written_at, self._writing_took = perf_counter(), 0.0
 
-    def due(self, optimizer: Optimizer) -> bool:
+    def due(self) -> bool:
         """Whether the last checkpoint is old enough, in seconds and in times of writing one."""
         if self.every <= 0:
             return True
