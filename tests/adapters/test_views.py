@@ -10,7 +10,6 @@ import numpy as np
 from fide_adapters.image_loss import is_image
 from fide_adapters.nevergrad import ParametrizedFIDE
 from fide_adapters.optuna import FIDESampler
-from fide_adapters.optuna.replica import Replica
 from fide_plugins import FIDE
 from fide_plugins.types import Float32
 
