@@ -229,7 +229,7 @@ class FIDE(Saved):
     def _may_blur(self) -> bool:
         """Whether searches may begin coarse: with features, moves, and a loss of any target."""
         o, sides = self.options, [side for view in self.views.views for side in view.size]
-        learns = o.proposer in ("both", "linear", "forward") and o.restarts == "moves"
+        learns = o.proposer in ("both", "linear") and o.restarts == "moves"
         wanted = learns and o.coarse_to_fine is not False and min(sides) >= _COARSEST
         return wanted and self.loss_name is not None
 

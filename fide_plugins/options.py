@@ -65,10 +65,10 @@ class Options:
 
     encoder: name in `fide_plugins.encoders`.
     popsize: k, candidates a generation; None: 4 + 3 ln d.
-    proposer: "linear" (parameters regressed on features), "forward" (features on parameters: fast
-        on smooth scenes, greedy on others), "both" (linear, and between the generations steps of
-        the forward model, see `proposers.forward`; none with a learned model, or with more than 100
-        parameters or 4 k), "diffusion" (the published denoiser) or "none" (CMA-ES).
+    proposer: "linear" (parameters regressed on features), "both" (linear, and between the
+        generations steps of a forward model, see `proposers.forward`; none with a learned model,
+        or with more than 100 parameters or 4 k), "diffusion" (the published denoiser) or "none"
+        (CMA-ES).
     restarts: where the next search begins: "moves" (they keep most of the best candidate, see
         `search.moves`), "anew" (at a random place); "none" for one search, to the end.  Without
         images, and with nothing proposed, "moves" is "anew".
@@ -95,7 +95,7 @@ class Options:
 
     encoder: str = _option("dense", rules.text("a name in fide_plugins.encoders"))
     popsize: int | None = _option(None, rules.whole(4, 2**20, "4 to 4,096 are tested"))
-    proposer: str = _option("both", rules.one_of("both", "linear", "forward", "diffusion", "none"))
+    proposer: str = _option("both", rules.one_of("both", "linear", "diffusion", "none"))
     restarts: str = _option("moves", rules.one_of("moves", "anew", "none"))
     patience: int | None = _option(None, rules.whole(1))
     improvement: float = _option(0.1, rules.fraction)

@@ -259,7 +259,7 @@ class MovePolicy:
         known, incumbent = self.known, self.known.incumbent
         left = incumbent if self.move is not None and self._the_move.from_incumbent else None
         apart = left is None or known.began_apart(self.start.mean, found.x)
-        best = known.optima.note(found, known.exchangeability.distance, from_apart=apart)
+        best = known.optima.note(found, known.exchangeability.distance, began_apart=apart)
         if left is not None:
             self._choice.note(self._the_move.name, _gain(left.loss, found.loss), evaluations)
             if found.loss >= left.loss:

@@ -378,19 +378,19 @@ class Optima:
         self.forgotten = 0
         self._descents = 0  # new ones since the best optimum was found
 
-    def note(self, found: TrainingSample, distance: Distance, *, from_apart: bool = True) -> bool:
+    def note(self, found: TrainingSample, distance: Distance, *, began_apart: bool = True) -> bool:
         """Note where a search ended; returns whether that is the best optimum so far.
 
         distance: of two points (d,), in units of the unit cube.
-        from_apart: whether the search had begun apart from there.
+        began_apart: whether the search had begun apart from there.
         """
         best = not self.all or found.loss < self.all[0].sample.loss
         if best:
             self._descents = 0
         close = [o for o in self.all if distance(o.sample.x, found.x) < APART]
-        searches = int(from_apart) + sum(optimum.searches for optimum in close)
+        searches = int(began_apart) + sum(optimum.searches for optimum in close)
         if close and close[0].sample.loss <= found.loss:
-            close[0].searches += int(from_apart)
+            close[0].searches += int(began_apart)
             return False
         self.all = [optimum for optimum in self.all if optimum not in close]
         self.all.append(Optimum(found, searches=searches))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import pytest
 import torch
@@ -63,7 +63,7 @@ def train(
     x = gaussian(50)
     line = Line()
     losses = fit(
-        line,
+        cast(Any, line),  # what `fit` uses of a network
         x_prediction,
         objective or XLoss(),
         torch.optim.Adam(line.parameters(), lr=lr),

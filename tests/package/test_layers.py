@@ -15,10 +15,9 @@ LAYERS = (
     ("runtime",),
     ("baselines", "experiments", "optimizers"),  # old names of modules of `fide_lab`
     ("validation",),
-    ("options", "population", "space"),
+    ("encoders", "options", "population", "space"),
     ("denoiser", "renderers", "search"),
     ("learning", "uncertainty"),
-    ("encoders",),
     ("losses", "proposers"),
     ("saving", "views"),
     ("comparison",),

@@ -38,17 +38,11 @@ class PosteriorSampler:
     noise.  Its first step, where the noise is so large that z carries no information, is the
     regression E[x | image], which averages the modes.
 
-    Parameters
-    ----------
-    dim : d, the number of parameters.
-    steps : of Euler's method for a sample; noise levels fall geometrically.
-    seed : of everything random.
-    **options : of the `DiffusionProposer` (epochs, learning_rate, batch_size, device, width, ...).
+    dim: d, the number of parameters.
+    steps: of Euler's method for a sample; noise levels fall geometrically.
+    options: of the `DiffusionProposer` (epochs, learning_rate, batch_size, device, width, ...).
 
-    Raises
-    ------
-    OptionError
-        if `steps` is below 1, or as the `DiffusionProposer`.
+    Raises OptionError if `steps` is below 1, or as the `DiffusionProposer`.
     """
 
     def __init__(self, dim: int, *, steps: int = 18, seed: int = 0, **options: Any) -> None:
