@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 import zlib
 from collections import OrderedDict
@@ -26,6 +27,7 @@ from fide_plugins.views.views import views_of
 
 __all__ = ["FIDESampler", "image_objective"]
 
+_log = logging.getLogger(__name__)
 _MOST_STUDIES = 4
 
 
@@ -161,6 +163,7 @@ class FIDESampler(BaseSampler):
                 "completed trials of the study have no parameter in common, by name and range, so "
                 "nothing is searched; if ranges have changed, name those to search, "
                 "FIDESampler(search_space={...}), or start a new study",
+                _log.warning,
             )
         return dict(space)
 
