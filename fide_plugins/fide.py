@@ -238,7 +238,8 @@ class FIDE(Saved):
         scales = ScaleSpace(
             self.views,
             possible=self._may_blur and not known,
-            at_once=bool(o.coarse_to_fine or (o.photo and o.coarse_to_fine is None)),
+            at_once=bool(o.coarse_to_fine),
+            photo=o.photo,
         )
         moves.start = scales.patient(moves.start)
         return State(

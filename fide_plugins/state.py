@@ -284,7 +284,7 @@ class State:
         guided: whether images guide it.  They do while they are blurred: the loss is of them.
         """
         if self.blur:
-            reach = 2 * self.scales.share * self.search.setting.sigma0
+            reach = self.scales.reach
             return self.search.is_over(guided=True) or bool((self.search.std < reach).all())
         return self.search.is_over(guided=guided or self.scales.asked)
 
@@ -293,7 +293,8 @@ class State:
 
         target: packed.
         """
-        x = self.scales.decide(target, self.gate.agreement)
+        start = self.moves.start.mean
+        x = self.scales.decide(target, self.gate.agreement, start, self.kept)
         self._let_moves_know()
         if x is None:
             return False
