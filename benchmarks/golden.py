@@ -131,8 +131,6 @@ RUNS: dict[str, Run] = {
         for name, evaluations, every in (
             ("random", 60, 3),
             ("cma", 300, 3),
-            ("bipop-cma-es", 300, 3),
-            ("lq-cma-es", 60, 20),
             ("dual-annealing", 80, 20),
             ("fide-annealing", 80, 20),
             ("zerograds", 80, 3),

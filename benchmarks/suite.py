@@ -7,7 +7,7 @@
     python benchmarks/suite.py --picture docs/images/suite.png          # data profile
     python benchmarks/suite.py --picture docs/images/suite_performance.png --performance
     python benchmarks/suite.py --page runs/suite/report.html             # all of them on a page
-    python benchmarks/suite.py --budget 2000 --scenes arm,lens --optimizers composite-bo
+    python benchmarks/suite.py --budget 2000 --scenes arm,lens --optimizers dfols
     python benchmarks/suite.py --suite image-fitting-v2   # or -v3
 
 `fide compare --suite` keeps every run in a folder of its own; here it is one line of the output
@@ -60,8 +60,8 @@ from fide_plugins.types import Float64
 
 RESULTS = Path(__file__).parent / "results"
 OPTIMIZERS = (
-    "fide", "cma", "cma:popsize=50", "bipop-cma-es", "eki", "dual-annealing:step=0.001",
-    "zerograds", "dfols",
+    "fide", "cma", "cma:popsize=50", "eki", "dual-annealing:step=0.001", "zerograds",
+    "dfols",
 )  # fmt: skip
 CHEAP = ("voronoi", "spline", "robot", "lamps", "sprites", "arm", "lens", "stick_figure")
 """Scenes with renders of a few milliseconds."""
@@ -129,7 +129,7 @@ def measure(suite: Suite, budget: int, parts: Path, run: Row) -> Row:
         out=part_of(budget, parts, run),
         resume=True,
         checkpoint_every=60,
-        keep=harness.Keep(film=False, summary=False),
+        keep=harness.Keep(summary=False),
     )
     at: dict[str, Float64] = {"renders": result.improvements.astype(np.float64) + 1}
     curve = results.Curve(

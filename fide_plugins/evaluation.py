@@ -17,29 +17,24 @@ from fide_plugins.comparison.coverage import with_coverage, without_coverage
 from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.encoders.own import OwnEncoder
 from fide_plugins.errors import CheckpointError, FeaturesError, LossError
-from fide_plugins.losses.base import LossOfTarget, as_losses
+from fide_plugins.losses.base import as_losses
 from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.devices import resolve_device
 from fide_plugins.runtime.schema import anything, check
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.pixels import Clipping, OnClip
-from fide_plugins.validation.tensors import as_features, as_tensor_batch, stays_on_device
+from fide_plugins.validation.tensors import as_features
 from fide_plugins.views import Views
 from fide_plugins.views.encoder import encoder_of
 from fide_plugins.views.loss import loss_of
 
 __all__ = ["Evaluation", "Evaluator", "Images", "Result"]
 
-Images: TypeAlias = Float32 | torch.Tensor
-"""A canonical image or batch; a tensor is on a GPU, and stays there."""
+Images: TypeAlias = Float32
+"""A canonical image or batch."""
 
 Result: TypeAlias = tuple[Float64, float, Images | None, torch.Tensor | None, float]
 """x (d,), loss, image (H, W, 3), tokens (T, C) of one candidate, and what the search is told."""
-
-
-def on_cpu(batch: Images) -> Float32:
-    """Images as an array, also those that are on a GPU."""
-    return batch.cpu().numpy() if isinstance(batch, torch.Tensor) else batch
 
 
 @dataclass(frozen=True)
@@ -155,7 +150,7 @@ class Evaluator:
         n = len(several) if hasattr(several, "__len__") else 0
         batch = self.as_batch(n, images, np.zeros(n), None, Clipping().note)
         assert batch is not None  # images were given
-        shown = on_cpu(batch)
+        shown = batch
         if self.comparison is not None:
             shown = self.comparison.compare(shown).images
         parts = self.views.split(shown)
@@ -260,9 +255,6 @@ class Evaluator:
 
         With a fourth channel, the coverage, where renders have one and it is used.
 
-        A tensor on a GPU stays there, if encoder and loss can compute there, and there is one view
-        without weights.
-
         Raises LossError or FeaturesError where what is given contradicts itself, or ImageError.
         """
         if images is None and losses is None:
@@ -271,9 +263,6 @@ class Evaluator:
             raise FeaturesError("tell takes images or their features, not both")
         if images is None:
             return None
-        if stays_on_device(images) and self._takes_tensors(losses is not None):
-            values = self.views.values
-            return as_tensor_batch(images, self.target.shape, n=n, on_clip=on_clip, values=values)
         if self.comparison is not None and self.comparison.background:
             return with_coverage(self.views, images, n, on_clip)
         return self.views.as_batch(without_coverage(images, self.views.listed), n, on_clip)
@@ -298,13 +287,13 @@ class Evaluator:
         """
         told = batch
         if batch is not None and self.comparison is not None:
-            compared = self.comparison.compare(on_cpu(batch))
+            compared = self.comparison.compare(batch)
             batch = batch[..., :3]
             values = compared.losses if losses is None else as_losses(losses, n)
             tokens = self.encoder.compute(compared.images) if encode else None
         else:
             values = self._cost(batch) if losses is None else as_losses(losses, n)
-            tokens = self._encoded(batch) if encode and batch is not None else None
+            tokens = self.encoder.compute(batch) if encode and batch is not None else None
         if features is not None:
             shape = (n, *self.features_shape)
             taken = as_features(features, shape, self.encoder, version=version)
@@ -322,7 +311,7 @@ class Evaluator:
         if not blur:
             again = self.evaluate(len(batch), batch, results.losses, encode=encode)
             return replace(results, tokens=again.tokens, blur=0.0, told=None)
-        compared = self._blurring.compare(on_cpu(batch), blur)
+        compared = self._blurring.compare(batch, blur)
         tokens = self.encoder.compute(compared.images) if encode else None
         return replace(results, tokens=tokens, blur=blur, told=compared.losses)
 
@@ -343,21 +332,7 @@ class Evaluator:
     def _blurred(self) -> dict[float, torch.Tensor]:
         return {}
 
-    def _takes_tensors(self, has_losses: bool) -> bool:
-        loss_takes = isinstance(self.loss, LossOfTarget) and self.loss.takes_tensors
-        if self.comparison is not None:
-            return False
-        return self.views.plain and self.encoder.takes_tensors and (has_losses or loss_takes)
-
-    def _encoded(self, batch: Images) -> torch.Tensor:
-        if isinstance(batch, torch.Tensor):
-            return self.encoder.compute_tensor(batch)
-        return self.encoder.compute(batch)
-
     def _cost(self, batch: Images | None) -> Float64:
         if batch is None:
             raise LossError("a loss of images needs images; got none")
-        if isinstance(batch, torch.Tensor):
-            assert isinstance(self.loss, LossOfTarget), "`as_batch` keeps no other tensors"
-            return self.loss.compute_tensor(batch)
         return self.loss.compute(batch)

@@ -41,7 +41,7 @@ from fide_plugins.comparing import adapt_light
 from fide_plugins.comparison.kept import Kept
 from fide_plugins.comparison.scale_space import ScaleSpace
 from fide_plugins.encoders.base import PatchEncoder
-from fide_plugins.evaluation import Evaluation, Evaluator, on_cpu
+from fide_plugins.evaluation import Evaluation, Evaluator
 from fide_plugins.options import Options, flat, make_options
 from fide_plugins.population import Candidate, CandidateRole, Population
 from fide_plugins.population.candidate import TrainingSample, columns, in_order
@@ -511,7 +511,7 @@ class FIDE(Saved):
             self.state.stay_sharp()
         if self.state.kept is not None and batch is not None:
             at, given = self.state.evaluations, losses is not None
-            self.state.kept.note(points, on_cpu(batch), results.losses, at, given=given)
+            self.state.kept.note(points, batch, results.losses, at, given=given)
         self.enter(points, results)
         if self.state.kept is not None:
             adapt_light(self)

@@ -12,7 +12,7 @@ import numpy as np
 
 from fide_plugins import losses
 from fide_plugins.errors import CheckpointError, UnknownNameError
-from fide_plugins.losses.own import loss_not_stored
+from fide_plugins.losses.base import loss_not_stored
 from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.schema import IMPOSSIBLE, check, whole
 from fide_plugins.runtime.threads import Lock, one_at_a_time, one_thread

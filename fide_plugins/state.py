@@ -176,17 +176,14 @@ class State:
                 sample = TrainingSample(number, exact.copy(), tokens, told, self.evaluations)
                 self._keep(sample)
             if image is not None and self.scales.useful is None:
-                if isinstance(image, torch.Tensor):  # images that stay on their device
-                    self.scales.give_up()
-                else:
-                    self.scales.note(number, exact, image.copy())
+                self.scales.note(number, exact, image.copy())
             testing = self.stage is Stage.EXCHANGE
             if image is not None and testing and np.array_equal(exact, self.moves.known.current.x):
-                self.grain.note(_copied(image))
+                self.grain.note(image.copy())
             if candidate is None or candidate.role is CandidateRole.STEP:
                 self._inject(x, told)
             if self.best is None or (loss, number) < (self.best.solution.loss, self.best.index):
-                shown = None if image is None else _copied(image)
+                shown = None if image is None else image.copy()
                 solution = Solution(x.copy(), loss, self.evaluations, shown)
                 searched = candidate is not None and self.stage is Stage.SEARCH
                 self._improve(solution, number, searched=searched and not self._is_start(exact))
@@ -514,10 +511,3 @@ def _packed(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_packed(each) for each in value]
     return value.state_dict() if hasattr(value, "state_dict") else value
-
-
-def _copied(image: Images) -> Float32:
-    """Copy (H, W, 3) for NumPy of an image; the best one does leave its GPU."""
-    if isinstance(image, torch.Tensor):
-        image = image.cpu().numpy()
-    return image.copy()

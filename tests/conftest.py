@@ -73,18 +73,9 @@ VGG19 = dict(
         strict=True,
     )
 )  # fmt: skip
-# number of a fire layer: (in, squeezed, expanded)
-FIRES = {3: (64, 16, 64), 4: (128, 16, 64), 6: (128, 32, 128), 7: (256, 32, 128)}
-FIRES |= {9: (256, 48, 192), 10: (384, 48, 192), 11: (384, 64, 256), 12: (512, 64, 256)}
-SQUEEZENET: dict[str, tuple[int, int, int]] = {"0": (64, 3, 3)}
-for _n, (_in, _few, _many) in FIRES.items():
-    SQUEEZENET[f"{_n}.squeeze"] = (_few, _in, 1)
-    SQUEEZENET[f"{_n}.expand1x1"] = (_many, _few, 1)
-    SQUEEZENET[f"{_n}.expand3x3"] = (_many, _few, 3)
 CHANNELS = {
     "alex": (64, 192, 384, 256, 256),
     "vgg": (64, 128, 256, 512, 512),
-    "squeeze": (64, 128, 256, 384, 384, 512, 512),
 }
 
 
@@ -332,7 +323,6 @@ def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
     torch.save(random_network(ALEXNET, 1), checkpoints / "alexnet-owt-7be5be79.pth")
     torch.save(random_network(VGG16, 2), checkpoints / "vgg16-397923af.pth")
     torch.save(random_network(VGG19, 3), checkpoints / "vgg19-dcbb9e9d.pth")
-    torch.save(random_network(SQUEEZENET, 4), checkpoints / "squeezenet1_1-b8a52dc0.pth")
     for net in CHANNELS:
         torch.save(random_heads(net), checkpoints / f"lpips-v0.1-{net}.pth")
     return home

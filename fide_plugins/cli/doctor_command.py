@@ -59,8 +59,7 @@ def _usable(kind: str) -> str:
     found = problems(kind)
     groups = {
         "": [name for name, problem in found.items() if not problem],
-        "with a model of yours: ": [f"{name}:FILE" for name in OF_A_MODEL if name in found],
-        "not here: ": [name for name, why in found.items() if why and name not in OF_A_MODEL],
+        "not here: ": [name for name, problem in found.items() if problem],
     }
     return "; ".join(f"{what}{', '.join(each)}" for what, each in groups.items() if each)
 
@@ -145,8 +144,7 @@ def _text(facts: dict[str, Any]) -> str:
 
 KINDS = ("tasks", "optimizers", "encoders", "losses")
 WITH_WEIGHTS = ("encoders", "losses")  # kinds that may need weights; to try them takes seconds
-OF_A_MODEL = ("learned",)  # encoders that read a model of the user's, which is named with them
-_VARIANTS = {"losses": ("lpips:squeeze", "lpips:vgg")}  # variants with their own weights
+_VARIANTS = {"losses": ("lpips:vgg",)}  # variants with their own weights
 _SIDE = 32  # pixels, side of the test images
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import argparse
 
-from fide_plugins.cli.doctor_command import KINDS, OF_A_MODEL, WITH_WEIGHTS, names, problems
+from fide_plugins.cli.doctor_command import KINDS, WITH_WEIGHTS, names, problems
 from fide_plugins.cli.terminal import note
 
 __all__ = ["add_arguments", "execute"]
@@ -30,8 +30,7 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
     found = problems(args.kind)
     width = max(map(len, found))
     for name, problem in found.items():
-        absent = "" if name in OF_A_MODEL else "not here: "
-        print(name if problem is None else f"{name:{width}}  {absent}{problem}")
+        print(name if problem is None else f"{name:{width}}  not here: {problem}")
     return 0
 
 

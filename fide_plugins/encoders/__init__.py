@@ -5,26 +5,11 @@ patch.  T and C depend only on the image size.
 
     >>> from fide_plugins import encoders
     >>> encoders.names()
-    ['dense', 'dinov3', 'efficientnet', 'learned', 'patch', 'texture', 'vgg19']
+    ['dense', 'dinov3', 'efficientnet', 'patch', 'texture', 'vgg19']
 
 `make` returns an object to call with a batch of images (any input of
 :func:`fide_plugins.images.as_batch`), with the attributes `name` and `version`; features are
 comparable if both are equal.  No large package is imported before `make`.
-
-===============  ================================================================
-`base`           what all encoders share
-`dense`          encoder `dense`: hand-made features of a grid of patches
-`patch`          encoder `patch`: raw pixels of patches
-`texture`        encoder `texture`: statistics of the whole picture, without places
-`own`            a user's own encoder: any callable of a batch
-`learned`        encoder `learned:FILE`: the network of a model of `fide_plugins.learn`
-`pretrained/`    encoders with pretrained networks: `dinov3`, `efficientnet`, `vgg19`
-`whole_patches`  resizes images to whole patches
-`despeckle`      removes single bright or dark pixels
-`bilateral`      OpenCV's bilateral filter for tensors
-`noise_level`    estimates the noise of an image
-`cache`          cache of tokens by image content
-===============  ================================================================
 """
 
 from __future__ import annotations
@@ -53,8 +38,7 @@ def names() -> list[str]:
 def make(name: str, *, device: str | torch.device = "cpu", **options: object) -> PatchEncoder:
     """Encoder of that name, on that device (``"auto"``: CUDA if it is available).
 
-    The name may be followed by a variant, ``"vgg19:relu4_1"``, ``"dinov3:FOLDER"`` or
-    ``"learned:model.fide"``.
+    The name may be followed by a variant, ``"vgg19:relu4_1"`` or ``"dinov3:FOLDER"``.
 
     options: arguments of the encoder's class.
 
@@ -102,7 +86,6 @@ def register(name: str, factory: Callable[..., Callable[..., object]] | str) -> 
 register("dense", "fide_plugins.encoders.dense:DenseEncoder")
 register("dinov3", "fide_plugins.encoders.pretrained.dinov3:DinoEncoder")
 register("efficientnet", "fide_plugins.encoders.pretrained.efficientnet:EfficientNetEncoder")
-register("learned", "fide_plugins.encoders.learned:LearnedEncoder")
 register("patch", "fide_plugins.encoders.patch:RawPatchEncoder")
 register("texture", "fide_plugins.encoders.texture:TextureEncoder")
 register("vgg19", "fide_plugins.encoders.pretrained.vgg19:VGG19Encoder")

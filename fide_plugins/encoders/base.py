@@ -9,11 +9,10 @@ import torch
 
 from fide_plugins.errors import CheckpointError
 from fide_plugins.runtime import checkpoint
-from fide_plugins.runtime.devices import batch_size, in_batches, on_device, resolve_device
+from fide_plugins.runtime.devices import on_device, resolve_device
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.types import Float32
 from fide_plugins.validation.images import as_batch
-from fide_plugins.validation.tensors import as_tensor_batch, stays_on_device
 
 __all__ = ["PatchEncoder"]
 
@@ -34,11 +33,9 @@ class PatchEncoder(ABC):
     version: str
     """Changes whenever the features of an image change."""
     weights_digest: str | None = None
-    """Which pretrained weights its network has; None without, as of a model of the user's."""
+    """Which pretrained weights its network has; None without."""
     channel_subsets: tuple[int | None, ...] = (None,)
     """Sets of features for linear models: so many leading channels; None: all."""
-    takes_tensors: bool = False
-    """Whether it has `compute_tensor`, for images that stay on their GPU."""
     threads: AbstractContextManager[None] = user_threads
     """In which it computes; `one_thread` for those that do little with each pixel."""
 
@@ -46,20 +43,10 @@ class PatchEncoder(ABC):
         self.device = resolve_device(device)
 
     def __call__(self, images: object) -> torch.Tensor:
-        """Tokens of images.
+        """Tokens, float32 (n, T, C) on the encoder's device.
 
-        Parameters
-        ----------
-        images
-            (n, H, W, C) or any other input of `as_batch`; `ImageError` otherwise.  A tensor on a
-            GPU stays there, if `takes_tensors`.
-
-        Returns
-        -------
-        float32 (n, T, C) on the encoder's device.
+        images: (n, H, W, C) or any other input of `as_batch`; `ImageError` otherwise.
         """
-        if self.takes_tensors and stays_on_device(images):
-            return self.compute_tensor(as_tensor_batch(images))
         return self.compute(as_batch(images))
 
     @torch.no_grad()
@@ -77,15 +64,11 @@ class PatchEncoder(ABC):
 
     def check_version(self, saved: object) -> None:
         """Raise CheckpointError unless saved features, of the version `saved`, are of this one."""
-        if saved == self.version:
-            return
-        remedy = checkpoint.VERSION_REMEDY
-        if self.name.startswith("learned:"):
-            remedy = f"put that model back, which encoder={self.name!r} reads"
-        raise CheckpointError(
-            f"the saved state has features of the encoder {saved}; the one here is "
-            f"{self.version}: {remedy}, or start again"
-        )
+        if saved != self.version:
+            raise CheckpointError(
+                f"the saved state has features of the encoder {saved}; the one here is "
+                f"{self.version}: {checkpoint.VERSION_REMEDY}, or start again"
+            )
 
     @abstractmethod
     def shape(self, height: int, width: int) -> tuple[int, int]:
@@ -95,20 +78,6 @@ class PatchEncoder(ABC):
         """Input of `_encode` for images (n, H, W, 3), on the CPU; by default the images."""
         return batch
 
-    @torch.no_grad()
-    def compute_tensor(self, images: torch.Tensor) -> torch.Tensor:
-        """Tokens (n, T, C) of a canonical batch that is a tensor, computed where that is.
-
-        Only the tokens go to the encoder's device.  The last digits may depend on an image's place
-        in the batch.  For encoders with `takes_tensors`.
-        """
-        size = batch_size(images.device, images.shape[1], images.shape[2])
-        return in_batches(self._of_tensor, images, size).to(self.device)
-
-    def _of_tensor(self, images: torch.Tensor) -> torch.Tensor:
-        """Tokens (n, T, C) of images (n, H, W, 3), on their device; for `takes_tensors`."""
-        return self._encode(images)
-
     @abstractmethod
     def _encode(self, images: torch.Tensor) -> torch.Tensor:
-        """Tokens (n, T, C) of the output of `_prepare`, by default (n, H, W, 3)."""
+        """Tokens (n, T, C) of the output of `_prepare`."""

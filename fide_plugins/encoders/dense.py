@@ -6,16 +6,17 @@ H, W     height and width of the image, pixels
 gh, gw   rows and columns of patches; T = gh gw <= 256
 S = 2    samples along the side of a patch; a sample is the mean color of its box of pixels
 
-The image is despeckled (see `despeckle`) and averaged to 2 gh x 2 gw samples, exactly, also if
-boxes cut through pixels.  All features are computed from these samples, which is fast and averages
-out most of a renderer's noise.  A square image has 14 x 14 patches at any resolution; other shapes
-have about as many square patches, see `grid`.
+The image is despeckled: from 84 x 84 pixels on each pixel becomes the median of its 3 x 3, since
+most of the noise of path tracing is in a few bright pixels.  Then it is averaged to 2 gh x 2 gw
+samples, exactly, also if boxes cut through pixels.  All features are computed from these samples.
+A square image has 14 x 14 patches at any resolution; other shapes have about as many square
+patches, see `grid`.
 
-The remaining noise depends on the image.  A second set of samples is taken from the image
-despeckled twice, and smoothed by a bilateral filter (Tomasi & Manduchi 1998).  The features use
-(1 - w) times the first set plus w times the second.  The weight w grows with the `noise_level` from
-0, at half a step of 8 bits, to 1, at 0.015, which images of 10 to 20 samples per pixel exceed.
-Drawings and shaded scenes have no noise and w = 0.
+What noise is left depends on the image.  A second set of samples is taken from the image despeckled
+twice, and smoothed by a bilateral filter (Tomasi & Manduchi 1998).  The features use (1 - w) times
+the first set plus w times the second.  The weight w grows with the noise level, the median over
+pixels of what the first median changed, from 0, at half a step of 8 bits, to 1, at 0.015, which
+images of 10 to 20 samples per pixel exceed.  Drawings and shaded scenes have w = 0.
 
 Channels of a token (C = 16)
 
@@ -28,16 +29,10 @@ Channels of a token (C = 16)
         along the other
 ======  ======================================================================  ============
 
-Channels 0-2 are the mean color of the patch, apart from noise, in every version, so a linear model
-may rely on them.  Channels 0-11 together give the mean colors of the four quarters; for an image
-without noise they are linear in the despeckled image.  Edges: with g the gradient of the luminance
-and theta its angle, |g| cos 2 theta and |g| sin 2 theta are each split into positive and negative
-part and averaged over the patch, so opposite contrasts do not cancel, unlike in channels 3-11.  A
-constant image has zeros in 3-15.
-
-`lab/reports/encoders_quality.md` lists the alternatives that were tried.  Version 1 did not
-despeckle, and had four more channels, edges of half that scale; version 2 differs in the last
-digits, version 3 in noisy images.
+Channels 0-2 are the mean color of the patch in every version, so a linear model may rely on them.
+Channels 0-11 together give the mean colors of the four quarters.  Edges: with g the gradient of the
+luminance and theta its angle, |g| cos 2 theta and |g| sin 2 theta are each split into positive and
+negative part and averaged over the patch, so opposite contrasts do not cancel.
 """
 
 from __future__ import annotations
@@ -49,9 +44,6 @@ import numpy as np
 import torch
 
 from fide_plugins.encoders.base import PatchEncoder
-from fide_plugins.encoders.bilateral import bilateral
-from fide_plugins.encoders.despeckle import despeckled, despeckled_planes
-from fide_plugins.encoders.noise_level import noise_level, noise_levels
 from fide_plugins.runtime.opencv import cv2
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.types import Float32
@@ -63,6 +55,8 @@ MAX_TOKENS = 256
 SAMPLES = 2
 CHANNELS = 16
 LUMINANCE = (0.299, 0.587, 0.114)  # Rec. 601
+SMALLEST = 84  # pixels; images with smaller sqrt(H W) may consist of lines, and are not despeckled
+ROWS = 28  # least number of pixel rows that tell the noise level, if there are as many
 FAINT = 0.002  # noise level up to which samples are not smoothed (w = 0)
 NOISY = 0.015  # noise level above which samples are fully smoothed (w = 1)
 REACH = 7  # diameter of the bilateral filter: 7 samples, 3.5 patches
@@ -87,20 +81,12 @@ def grid(height: int, width: int) -> tuple[int, int]:
 
 @lru_cache(maxsize=64)
 def box_weights(pixels: int, boxes: int) -> Float32:
-    """Weights (boxes, pixels) of the means over `boxes` equal parts of a row of pixels.
-
-    The weight of a pixel is the fraction of the box that it covers, so rows sum to 1.
-    """
+    """Weights (boxes, pixels) of the means over equal parts of a row: the share of each pixel."""
     edges = np.arange(boxes + 1) * (pixels / boxes)
     left = np.arange(pixels)
     overlap = np.minimum(edges[1:, None], left + 1) - np.maximum(edges[:-1, None], left)
     weights: Float32 = (np.maximum(overlap, 0) * (boxes / pixels)).astype(np.float32)
     return weights
-
-
-@lru_cache(maxsize=64)
-def _weights_on(device: torch.device, pixels: int, boxes: int) -> torch.Tensor:
-    return torch.from_numpy(box_weights(pixels, boxes)).to(device)
 
 
 def sampled(image: Float32, rows: int, columns: int) -> Float32:
@@ -115,6 +101,21 @@ def sampled(image: Float32, rows: int, columns: int) -> Float32:
     return means
 
 
+def despeckled(image: Float32) -> Float32:
+    """Medians of 3 x 3 pixels of an image (H, W, 3); the image itself if it is small."""
+    if image.shape[0] * image.shape[1] < SMALLEST**2:
+        return image
+    return np.asarray(cv2.medianBlur(np.ascontiguousarray(image), 3), np.float32)
+
+
+def noise_level(image: Float32, clean: Float32) -> float:
+    """Median over pixels of some rows of the largest color difference of two images (H, W, 3)."""
+    step = max(1, len(image) // ROWS)
+    apart = np.abs(image[::step] - clean[::step])
+    largest = np.maximum(np.maximum(apart[..., 0], apart[..., 1]), apart[..., 2]).ravel()
+    return float(np.sort(largest)[len(largest) // 2])  # np.partition is ten times slower with ties
+
+
 def less_noisy(image: Float32, rows: int, columns: int) -> Float32:
     """Samples (rows, columns, 3) of an image (H, W, 3), smoothed according to its noise level."""
     clean = despeckled(image)
@@ -127,25 +128,6 @@ def less_noisy(image: Float32, rows: int, columns: int) -> Float32:
     return samples + np.float32(w) * (np.asarray(smooth, np.float32) - samples)
 
 
-def less_noisy_tensor(images: torch.Tensor, rows: int, columns: int) -> torch.Tensor:
-    """Samples (n, rows, columns, 3) as by `less_noisy`, of images (n, H, W, 3), on their device.
-
-    All images are smoothed, and those without noise weighted 0: a choice would wait for the device.
-    """
-    down = _weights_on(images.device, images.shape[1], rows)
-    across = _weights_on(images.device, images.shape[2], columns)
-
-    def sampled(planes: torch.Tensor) -> torch.Tensor:
-        return down @ planes @ across.T
-
-    planes = images.permute(0, 3, 1, 2)  # (n, 3, H, W)
-    clean = despeckled_planes(planes)
-    samples = sampled(clean)
-    w = ((noise_levels(planes, clean) - FAINT) / (NOISY - FAINT)).clamp(0.0, 1.0)
-    smooth = bilateral(sampled(despeckled_planes(clean)), REACH, TONES, REACH / 2)
-    return (samples + w[:, None, None, None] * (smooth - samples)).permute(0, 2, 3, 1)
-
-
 class DenseEncoder(PatchEncoder):
     """Mean color, color contrasts and edge energies of patches; see the module for the channels."""
 
@@ -154,7 +136,6 @@ class DenseEncoder(PatchEncoder):
     version = "dense-4"
     channel_subsets = (3, None)  # colors alone, and with edges
     threads = one_thread
-    takes_tensors = True
 
     def shape(self, height: int, width: int) -> tuple[int, int]:
         """(T, C) = (gh gw, 16)."""
@@ -167,11 +148,6 @@ class DenseEncoder(PatchEncoder):
         for i, image in enumerate(batch):
             samples[i] = less_noisy(image, *samples.shape[1:3])
         return samples.clip(0.0, 1.0, out=samples)
-
-    def _of_tensor(self, images: torch.Tensor) -> torch.Tensor:
-        rows, columns = grid(images.shape[1], images.shape[2])
-        samples = less_noisy_tensor(images, SAMPLES * rows, SAMPLES * columns)
-        return self._encode(samples.clamp(0.0, 1.0))
 
     def _encode(self, images: torch.Tensor) -> torch.Tensor:
         samples = images.permute(0, 3, 1, 2).contiguous()  # (n, 3, 2 gh, 2 gw)

@@ -24,10 +24,6 @@ from fide_plugins.types import Float32
 
 __all__ = ["OwnEncoder", "check_encoder", "referenced"]
 
-_RULE = (
-    "an encoder takes images, float32 (n, H, W, 3) in [0, 1], and returns finite floats, (n, T, C) "
-    "or (n, C)"
-)
 _REFERENT = Referent(
     "encoder",
     "function",
@@ -61,54 +57,47 @@ class OwnEncoder(PatchEncoder):
         self.version = str(getattr(function, "version", f"own:{self.name}"))
         self.channel_subsets = tuple(getattr(function, "channel_subsets", (None,)))
         self._function = function
-        self._shapes: dict[tuple[int, int], tuple[int, int]] = {}
+        self._shapes: dict[tuple[int, ...], tuple[int, ...]] = {}  # (H, W): (T, C)
 
     def shape(self, height: int, width: int) -> tuple[int, int]:
         """(T, C) for images of that size, by a black one."""
         if (height, width) not in self._shapes:
             self.compute(np.zeros((1, height, width, 3), np.float32))
-        return self._shapes[height, width]
+        tokens, channels = self._shapes[height, width]
+        return tokens, channels
 
     @torch.no_grad()
     def compute(self, batch: Float32) -> torch.Tensor:
         """Tokens (n, T, C) of a canonical batch; raises FeaturesError."""
         with user_threads:
             made = self._function(batch.copy())
-        tokens = self._checked(made, len(batch))
-        size = batch.shape[1], batch.shape[2]
-        known = self._shapes.setdefault(size, (tokens.shape[1], tokens.shape[2]))
-        if tokens.shape[1:] != known:
-            raise FeaturesError(
-                f"the encoder {self.name!r} must give the same (T, C) for all images of a size: "
-                f"{known} before, now {tuple(tokens.shape[1:])}"
-            )
-        return tokens.to(self.device)
-
-    def _checked(self, made: Any, n: int) -> torch.Tensor:
         try:
             tokens = made if isinstance(made, torch.Tensor) else torch.from_numpy(np.asarray(made))
         except (TypeError, ValueError) as error:
-            raise FeaturesError(f"{self._rule(made)}: {error}") from error
-        if tokens.ndim == 2:
-            tokens = tokens[:, None]  # one token
-        if tokens.ndim != 3 or len(tokens) != n or 0 in tokens.shape[1:]:
-            raise FeaturesError(f"{self._rule(made)} of shape {tuple(np.shape(made))} for n = {n}")
-        if not tokens.is_floating_point():
-            raise FeaturesError(f"{self._rule(made)} of {tokens.dtype}")
-        tokens = tokens.detach().float().clone()  # the function may use its array again
-        if not torch.isfinite(tokens).all():
-            raise FeaturesError(f"{self._rule(made)} with NaN or infinity")
-        return tokens
+            raise self._refused(type(made).__name__) from error
+        tokens = tokens[:, None] if tokens.ndim == 2 else tokens  # one token
+        shape = tuple(tokens.shape[1:])
+        if tokens.ndim != 3 or len(tokens) != len(batch) or 0 in shape:
+            raise self._refused(f"the shape {tuple(np.shape(made))} for n = {len(batch)}")
+        if not tokens.is_floating_point() or not torch.isfinite(tokens).all():
+            raise self._refused(f"{tokens.dtype} with other values")
+        if shape != self._shapes.setdefault(batch.shape[1:3], shape):
+            known = self._shapes[batch.shape[1:3]]
+            raise self._refused(f"(T, C) = {shape}, and {known} before for images of this size")
+        return tokens.detach().float().clone().to(self.device)  # its array may be used again
 
-    def _rule(self, made: object) -> str:
-        return f"{_RULE}; {self.name!r} returned a {type(made).__name__}"
+    def _refused(self, made: str) -> FeaturesError:
+        return FeaturesError(
+            "an encoder takes images, float32 (n, H, W, 3) in [0, 1], and returns finite floats, "
+            f"(n, T, C) or (n, C); {self.name!r} returned {made}"
+        )
 
     def _encode(self, images: torch.Tensor) -> torch.Tensor:
         raise AssertionError("`compute` calls the function")
 
 
 def check_encoder(encoder: PatchEncoder, target: Float32) -> None:
-    """Try an encoder on the target (H, W, 3) and its negative; raises FeaturesError.
+    """Try a user's own encoder on the target (H, W, 3) and its negative; raises FeaturesError.
 
     What it gives for the two must be what it gives for each alone.
     """

@@ -13,6 +13,7 @@ They are those of the mirrored picture, and nearly those of a shifted one.
 
 from __future__ import annotations
 
+import hashlib
 from functools import lru_cache
 
 import cv2
@@ -24,7 +25,7 @@ from fide_plugins.errors import ImageError
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.types import Float32, Float64
 
-__all__ = ["TextureEncoder", "check_size", "statistics"]
+__all__ = ["TextureEncoder", "statistics"]
 
 LEAST_SIZE = 8  # pixels of each side
 
@@ -38,8 +39,31 @@ LEAST = 1e-3  # a contrast that no eye sees: what is below it does not differ
 SCALE_COLOR, SCALE_POWER, SCALE_SHARPNESS, SCALE_CORRELATION = 1.5, 0.15, 0.6, 0.2
 
 
+_KEPT: dict[bytes, Float32] = {}  # statistics by content: loss and encoder see the same pictures
+_MOST = 1024  # that are kept
+
+
 def statistics(image: Float32) -> Float32:
-    """Statistics (C,) of a picture (H, W, 3); C depends on its size only."""
+    """Statistics (C,) of a picture (H, W, 3); C depends on its size only.
+
+    Raises ImageError for pictures of less than 8 pixels along a side.
+    """
+    height, width, _ = image.shape
+    if min(height, width) < LEAST_SIZE:
+        raise ImageError(
+            f"statistics of a texture need at least {LEAST_SIZE} pixels along each side, "
+            f"got {height} x {width}"
+        )
+    content = hashlib.sha256(f"{height} {width} ".encode() + image.tobytes()).digest()
+    found = _KEPT.get(content)
+    if found is None:
+        if len(_KEPT) >= _MOST:
+            _KEPT.clear()
+        found = _KEPT[content] = _computed(image)
+    return found
+
+
+def _computed(image: Float32) -> Float32:
     side = min(image.shape[:2]) // 2
     colors = image.reshape(-1, 3)
     opponent = image @ OPPONENT.T
@@ -131,15 +155,6 @@ def _correlations(colors: Float32) -> Float64:
     return result
 
 
-def check_size(height: int, width: int) -> None:
-    """Raise ImageError if pictures of that size have too few pixels for statistics."""
-    if min(height, width) < LEAST_SIZE:
-        raise ImageError(
-            f"statistics of a texture need at least {LEAST_SIZE} pixels along each side, "
-            f"got {height} x {width}"
-        )
-
-
 @lru_cache(8)
 def _length(height: int, width: int) -> int:
     """Number of `statistics` of a picture of that size."""
@@ -156,7 +171,6 @@ class TextureEncoder(PatchEncoder):
 
     def shape(self, height: int, width: int) -> tuple[int, int]:
         """(1, C); `ImageError` below 8 pixels along a side."""
-        check_size(height, width)
         return 1, _length(height, width)
 
     def _encode(self, images: torch.Tensor) -> torch.Tensor:

@@ -61,12 +61,10 @@ def canonical(optimizer: FIDE, image: Any) -> Float32:
 
 def as_compared(optimizer: FIDE, image: Any) -> Float32:
     """The same in the light of the target, and over it where it covers nothing."""
-    from fide_plugins.evaluation import on_cpu
-
     told, evaluator = as_told(optimizer, image), optimizer.evaluator
     batch = evaluator.as_batch(1, told, np.zeros(1), None, Clipping().note)
     assert batch is not None  # an image was given
-    return evaluator.shown(on_cpu(batch)[0])
+    return evaluator.shown(batch[0])
 
 
 def best_compared(optimizer: FIDE) -> Float32 | None:

@@ -12,19 +12,6 @@ image that equals the target.  The value of an image does not depend on the rest
     array([0.25, 0.25])
 
 Any callable from images to n numbers can serve as a loss; :func:`resolve` wraps it.
-
-======================  ==============================================================
-`base`                  base classes, and the checks of a user's callable
-`mse`                   loss `mse`: mean squared error
-`perceptual`            loss `perceptual`: multi-scale structure and color
-`perceptual_tensors`    the same for tensors on a GPU
-`perceptual_constants`  constants of both
-`loi`                   loss `loi`: distance of locally orderless images
-`lpips`                 loss `lpips`: LPIPS 0.1
-`texture`               loss `texture`: statistics, wherever they are
-`own`                   tries a user's own loss; stands for it where it was not stored
-`scales`                Gaussian averages on coarser grids
-======================  ==============================================================
 """
 
 from __future__ import annotations
@@ -66,8 +53,7 @@ def knows(name: str) -> bool:
 def takes_weights(name: str) -> bool:
     """Whether the loss of that name weighs pixels itself, by the option `weights` (H, W) of `make`.
 
-    Its class, a `LossOfTarget`, says so by `weighs_pixels = True`.  The option of another loss may
-    mean anything: that of "lpips" is a file.
+    Its class says so: the option of another loss may mean anything, such as a file.
     """
     from fide_plugins.losses.base import LossOfTarget
 
@@ -82,9 +68,8 @@ def make(name: str, target: object, **options: object) -> LossOfTarget:
 
     options: arguments of the loss's class, such as `device` of "lpips".
 
-    Raises `UnknownNameError`, which lists the known names, `OptionError` for an option that the
-    loss does not have, `ImageError`, or what the loss itself raises, such as
-    `WeightsNotFoundError`.
+    Raises `UnknownNameError`, `OptionError` for an option that the loss does not have,
+    `ImageError`, or what the loss itself raises, such as `WeightsNotFoundError`.
     """
     from fide_plugins.losses.base import CallableLoss, LossOfTarget
 
@@ -113,11 +98,9 @@ def resolve(
 ) -> ImageLoss:
     """Loss from a name, None for "mse", or a callable images -> (n,).
 
-    A loss that is given by its name computes on the device, if it can; None: where it likes.
-    Without a target (None) the loss is checked and has its name, and raises LossError for images.
-    A loss that was made by `make` must be one for this very target; of a registered callable only
-    the target's shape can be compared.  The values of any other callable are checked each time: n
-    real numbers, or `LossError`.  NaN and infinity are values.
+    target: None makes a loss that has its name, and raises LossError for images.  A loss that was
+        made must be one for this very target.
+    device: on which a loss given by name computes, if it can; None: where it likes.
 
     Raises `LossError` for a loss of another target, or what is no loss; what `make` raises for a
     name.

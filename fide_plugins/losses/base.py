@@ -1,25 +1,35 @@
-"""Base classes of losses: the target, validation, one image at a time."""
+"""Base classes of losses: the target, validation, one image at a time; and a user's own loss.
+
+    def loss(images):              # float32 (n, H, W, 3) in [0, 1], a copy
+        return values              # (n,) real numbers; array, tensor or list; the lower the better
+
+For a list of targets it gets a list of such batches, one for each view.  The value of an image must
+not depend on the rest of its batch.  NaN and infinity rank last, but not for the target itself.
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from fide_plugins.errors import LossError
-from fide_plugins.runtime.registry import name_of
+from fide_plugins.runtime.registry import differs, name_of, tried_on
 from fide_plugins.runtime.threads import one_thread, user_threads
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.images import as_batch, as_target
-from fide_plugins.validation.pixels import is_torch_tensor
 
-if TYPE_CHECKING:
-    import torch
-    from torch import Tensor
-
-__all__ = ["CallableLoss", "ImageLoss", "LossOfTarget", "LossWithoutTarget", "as_losses"]
+__all__ = [
+    "CallableLoss",
+    "ImageLoss",
+    "LossOfTarget",
+    "LossWithoutTarget",
+    "as_losses",
+    "check_loss",
+    "loss_not_stored",
+]
 
 
 class ImageLoss(Protocol):
@@ -58,38 +68,19 @@ class LossOfTarget(ABC):
     """Changes whenever the loss of an image changes."""
     spec: str | None = None
     """Name from which `losses.make` makes the same loss; None if it was made with options."""
-    takes_tensors: bool = False
-    """Whether it has `compute_tensor`, for images that stay on their GPU."""
     weighs_pixels: bool = False
     """Whether its argument and attribute `weights` are those of pixels, (H, W) or None."""
 
     def __init__(self, target: object) -> None:
         self.target = as_target(target)
         self.target.flags.writeable = False
-        self._on_device: dict[torch.device, Callable[[Tensor], Tensor]] = {}
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Without what is kept on devices, which is made anew where it is needed."""
-        return {**self.__dict__, "_on_device": {}}
 
     def __call__(self, images: object) -> Float64:
-        """Losses of images.
+        """Losses (n,) >= 0, zero for an image that equals the target.
 
-        Parameters
-        ----------
-        images
-            (n, H, W, C) or any other input of `as_batch`, of the target's size; `ImageError`
-            otherwise.  A tensor on a GPU stays there, if `takes_tensors`.
-
-        Returns
-        -------
-        float64 (n,), >= 0, zero for an image that equals the target.
+        images: (n, H, W, C) or any other input of `as_batch`, of the target's size; `ImageError`
+            otherwise.
         """
-        if self.takes_tensors and is_torch_tensor(images):
-            from fide_plugins.validation.tensors import as_tensor_batch, stays_on_device
-
-            if stays_on_device(images):
-                return self.compute_tensor(as_tensor_batch(images, self.target.shape))
         return self.compute(as_batch(images, self.target.shape))
 
     @one_thread
@@ -97,30 +88,6 @@ class LossOfTarget(ABC):
         """Losses (n,) of a canonical batch (n, H, W, 3), without further checks."""
         with np.errstate(under="ignore"):  # squares of tiny differences
             return np.fromiter((self._distance(image) for image in batch), np.float64, len(batch))
-
-    def compute_tensor(self, images: Tensor) -> Float64:
-        """Losses (n,) of a canonical batch that is a tensor, computed where that is.
-
-        Only the losses leave its device.  Their last digits may depend on an image's place in the
-        batch.  For losses with `takes_tensors`.
-        """
-        import torch
-
-        from fide_plugins.runtime.devices import batch_size, in_batches
-
-        size = batch_size(images.device, *self.target.shape[:2])
-        with torch.no_grad():
-            if images.device not in self._on_device:
-                self._on_device[images.device] = self._distance_on(images.device, size)
-            losses = in_batches(self._on_device[images.device], images, size)
-        return as_losses(losses, len(images))
-
-    def _distance_on(self, device: torch.device, size: int) -> Callable[[Tensor], Tensor]:
-        """Distances (n,) float64 of images (n, H, W, 3) on the device; for `takes_tensors`.
-
-        size: of the batches that come, n.
-        """
-        raise NotImplementedError
 
     def check_target(self, target: object) -> None:
         """Raise `LossError` unless this loss was made for `target`."""
@@ -153,10 +120,7 @@ class CallableLoss:
         self._shape = as_target(target).shape
 
     def check_target(self, target: object) -> None:
-        """Raise `LossError` unless `target` has the shape of the one that this loss was made for.
-
-        What else of the target the function depends on is not known.
-        """
+        """Raise `LossError` unless `target` has the shape of this loss's own: all that is known."""
         shape = as_target(target).shape
         if shape != self._shape:
             raise LossError(
@@ -197,12 +161,9 @@ class LossWithoutTarget:
 
 
 def as_losses(values: object, n: int, what: str = "losses") -> Float64:
-    """Float64 copy (n,) of loss values; NaN and infinity are allowed.
+    """Float64 copy (n,) of loss values, which may be NaN or infinite.
 
-    Raises
-    ------
-    LossError
-        not n of them, or not real numbers (also a ValueError).
+    Raises LossError (a ValueError) unless they are n real numbers.
     """
     if hasattr(values, "detach"):  # a torch tensor, perhaps on another device
         values = values.detach().cpu()
@@ -217,3 +178,28 @@ def as_losses(values: object, n: int, what: str = "losses") -> Float64:
     if array.shape != (n,):
         raise LossError(f"{what} must be {n} numbers, one per image, got shape {array.shape}")
     return array.astype(np.float64)
+
+
+def check_loss(loss: ImageLoss, target: Float32) -> None:
+    """Call a loss with the target (H, W, 3) and its negative; raises LossError.
+
+    What it gives for the two must be what it gives for each alone, and finite for the target.
+    """
+    what = f"the loss {loss.name!r}"
+    together, alone = tried_on(target, loss.compute, what, LossError)
+    if not np.isfinite(together[0]):
+        raise LossError(f"{what} must be finite for the target itself, but it is {together[0]}")
+    if differs(together, alone):
+        raise LossError(
+            f"{what} must give an image the same value in every batch, but the target and its "
+            f"negative have {together} together and {alone} alone; average over axes (1, 2, 3) "
+            "only; where values are random, tell them: opt.tell(X, images, losses)"
+        )
+
+
+def loss_not_stored(images: object) -> object:
+    """Loss of a loaded optimizer whose original loss was a callable; raises LossError."""
+    raise LossError(
+        "this optimizer was saved with a callable as its loss, which a checkpoint cannot hold; "
+        "give it again, load(path, loss=...), or tell losses"
+    )

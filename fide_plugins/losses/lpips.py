@@ -61,42 +61,20 @@ class Variant:
 VARIANTS = {
     "alex": Variant(backbones.ALEXNET, (1, 4, 7, 9, 11), (64, 192, 384, 256, 256), 31, "df73285e"),
     "vgg": Variant(backbones.VGG16, (3, 8, 15, 22, 29), (64, 128, 256, 512, 512), 16, "a78928a0"),
-    "squeeze": Variant(
-        backbones.SQUEEZENET,
-        (1, 4, 7, 9, 10, 11, 12),
-        (64, 128, 256, 384, 384, 512, 512),
-        17,
-        "4a5350f2",
-    ),
 }
 
 
 class LPIPSLoss(LossOfTarget):
     """Distance of deep features, with weights learned from human judgments.
 
-    Parameters
-    ----------
-    target
-        any input of `as_target`.
-    variant
-        the network: "alex", which the authors recommend as a metric, "vgg" or "squeeze".
-    weights
-        torchvision's file of the network; None: the file in PyTorch's cache.
-    heads
-        file of the w_l; None: that of the package `lpips`, or the file in PyTorch's cache.
-    download
-        download missing files into that cache.
-    device
-        device of the network; "auto": CUDA if it is available.
+    variant: the network: "alex", which the authors recommend as a metric, or "vgg".
+    weights: torchvision's file of the network; None: the file in PyTorch's cache.
+    heads: file of the w_l; None: that of the package `lpips`, or the file in PyTorch's cache.
+    download: download missing files into that cache.
+    device: of the network; "auto": CUDA if it is available.
 
-    Raises
-    ------
-    ImageError
-        the target is too small for the network.
-    OptionError
-        there is no such variant.
-    WeightsNotFoundError, WeightsMismatchError
-        a file is missing, does not fit the network, or has a w_l below 0.
+    Raises ImageError for a target too small for the network, OptionError, WeightsNotFoundError, and
+    WeightsMismatchError for a file that does not fit, or has a w_l below 0.
     """
 
     def __init__(
@@ -114,9 +92,18 @@ class LPIPSLoss(LossOfTarget):
             raise OptionError(f"lpips has the variants {', '.join(VARIANTS)}, not {variant!r}")
         self.name = "lpips" if variant == "alex" else f"lpips:{variant}"
         self._variant = chosen = VARIANTS[variant]
-        _check_size(variant, chosen.smallest, self.target)
+        height, width, small = *self.target.shape[:2], chosen.smallest
+        if min(height, width) < small:
+            raise ImageError(
+                f"lpips with {variant!r} needs images of at least {small} x {small} pixels, got "
+                f"{height} x {width} (H x W); enlarge them, or use the loss 'perceptual'"
+            )
         self._device = resolve_device(device)
-        how = _how(variant, chosen)
+        how = (
+            f"; losses.make('lpips:{variant}', target, download=True) fetches both of its files "
+            f"once, the network's from {chosen.architecture.published.url}, losses.make(..., "
+            "weights=PATH, heads=PATH) reads files of yours, and the loss 'perceptual' needs none"
+        )
         network = backbones.load(chosen.architecture, weights, download=download, how=how)
         read = _read_heads(variant, chosen, heads, download, how)
         self.version = f"lpips-2-{variant}-{digest(network, read)}"
@@ -165,15 +152,6 @@ class LPIPSLoss(LossOfTarget):
         return [y[:1] for y in self._features(batch)]
 
 
-def _check_size(variant: str, smallest: int, target: Float32) -> None:
-    height, width, _ = target.shape
-    if min(height, width) < smallest:
-        raise ImageError(
-            f"lpips with {variant!r} needs images of at least {smallest} x {smallest} pixels, got "
-            f"{height} x {width} (H x W); enlarge them, or use the loss 'perceptual'"
-        )
-
-
 class _Heads(nn.Module):
     """The w_l, with the names of their file: lin0.model.1.weight, (1, C, 1, 1)."""
 
@@ -187,34 +165,21 @@ class _Heads(nn.Module):
 def _read_heads(
     name: str, variant: Variant, given: str | os.PathLike[str] | None, download: bool, how: str
 ) -> _Heads:
-    """Read the w_l, (1, C, 1, 1) each; WeightsMismatchError if one is below 0."""
+    """Read the w_l, (1, C, 1, 1) each, also from the package `lpips`, which is not imported."""
     published = Published(
         f"LPIPS 0.1 ({name})", f"lpips-v0.1-{name}.pth", f"{_URL}{name}.pth", variant.sha256
     )
-    path = published.find(given, others=_in_package(name), download=download, how=how)
+    package = find_spec("lpips")
+    places = (package.submodule_search_locations if package else None) or []
+    others = [Path(place, "weights", "v0.1", f"{name}.pth") for place in places]
+    path = published.find(given, others=others, download=download, how=how)
     with torch.device("meta"):
         heads = _Heads(variant.channels)
     weights_module.fill(heads, weights_module.read(path), path)
     for key, head in heads.state_dict().items():
         if (head < 0).any():
             raise WeightsMismatchError(
-                f"{path}: {key!r}, of shape {tuple(head.shape)}, has values below 0, the least "
-                f"{float(head.min()):g}, with which LPIPS is no distance; take the file of the "
-                "package lpips"
+                f"{path}: {key!r} has values below 0, the least {float(head.min()):g}, with which "
+                "LPIPS is no distance; take the file of the package lpips"
             )
     return heads
-
-
-def _in_package(name: str) -> list[Path]:
-    """Paths of the file in the package `lpips`, if it is installed; does not import it."""
-    spec = find_spec("lpips")
-    places = (spec.submodule_search_locations if spec else None) or []
-    return [Path(place, "weights", "v0.1", f"{name}.pth") for place in places]
-
-
-def _how(name: str, variant: Variant) -> str:
-    return (
-        f"; losses.make('lpips:{name}', target, download=True) fetches both of its files once, "
-        f"the network's from {variant.architecture.published.url}, losses.make(..., weights=PATH, "
-        "heads=PATH) reads files of yours, and the loss 'perceptual' needs none"
-    )

@@ -5,9 +5,6 @@ belongs to the family of normalized-gradient and structural-similarity measures.
 areas, a lower limit of the contrast, and an estimate of the noise make it robust against the noise
 of Monte Carlo rendering.  The coarse scales give it a slope toward the target from far away.
 
-The loss is not LPIPS or another learned metric.  It is not fitted to human judgments, ignores
-semantics, and compares structure place by place, so similar textures differ.
-
 Definition
 ----------
 v_l      image in opponent colors (Y, Cb, Cr), averaged with Gaussians whose width is their spacing,
@@ -23,13 +20,12 @@ M        local mean: Gaussian of 2 samples width, at every second sample
 
 with g', h', v', w' of the target, and c = 0.001, the square of a contrast typical of noise.
 Each fraction lies in [0, 2]: 1 where structure is missing or unrelated, 2 where it is inverted.
-The loss is symmetric, and zero if and only if all v are equal up to constants and v_3 = v'_3.
 
 The subtracted terms: noise that is independent between pixels has the same statistics on a
 checkerboard.  So on average it adds as much to |h - h'|^2 as to |g - g'|^2, while structures wider
 than a pixel add almost nothing to |h - h'|^2.  The difference removes the noise from the mean of
-the loss, and unlike a filter it does not change the picture.  Averages over few pixels do not
-separate the two well, so below 84 x 84 pixels nothing is subtracted.  Version 1 never subtracted.
+the loss.  Averages over few pixels do not separate the two well, so below 84 x 84 pixels nothing is
+subtracted.
 
 A regular pattern that alternates from pixel to pixel, as of dithering or halftone, counts as noise,
 too, and hides up to nine tenths of a difference: 0.1 brighter costs 0.040, with a checkerboard of
@@ -38,25 +34,27 @@ amplitude 0.1 on top 0.004.  A search may find that; turn dithering off, or use 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from math import sqrt
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.sparse import diags_array
 
 from fide_plugins.losses.base import LossOfTarget
-from fide_plugins.losses.perceptual_constants import COLOR_WEIGHT, FLOOR, LEAST, LEVELS, OPPONENT
 from fide_plugins.losses.scales import gaussian_means, planes, resample, samples_at
 from fide_plugins.types import Float32
 
-if TYPE_CHECKING:
-    import torch
-    from torch import Tensor
-
 __all__ = ["PerceptualLoss"]
 
+LEVELS = 4
+FLOOR = np.float32(1e-3)  # c
+LEAST = 0.1  # smallest fraction of a square that remains when noise is subtracted
+COLOR_WEIGHT = 4.0
+# rows: Y, Cb, Cr of Rec. 601, as weights of R, G, B
+OPPONENT = np.array(
+    [[0.299, 0.587, 0.114], [-0.168736, -0.331264, 0.5], [0.5, -0.418688, -0.081312]], np.float32
+)
 FINEST = 1 / 56  # spacing of the finest samples, relative to sqrt(H W)
 GRAIN_FROM = 1.5  # least spacing of the finest samples, in pixels, for which noise is subtracted
 
@@ -93,7 +91,6 @@ class PerceptualLoss(LossOfTarget):
 
     name = "perceptual"
     version = "perceptual-2"
-    takes_tensors = True
 
     def __init__(self, target: object) -> None:
         super().__init__(target)
@@ -108,13 +105,9 @@ class PerceptualLoss(LossOfTarget):
         pixels = planes(image)
         sampled = [_opponent(resample(pixels, *weights)) for weights in self.samplers]
         finest = np.stack(sampled, axis=1)  # (a, k, 3, b)
-        return [
-            _structure(finest),
-            *(
-                _structure(_samples_last(resample(finest, *level.samples)))
-                for level in self.levels[1:]
-            ),
-        ]
+        coarser = (resample(finest, *level.samples) for level in self.levels[1:])  # (a, b, k, 3)
+        last = (np.ascontiguousarray(np.moveaxis(x, 1, -1)) for x in coarser)
+        return [_structure(finest), *map(_structure, last)]
 
     def _distance(self, image: Float32) -> float:
         total = 0.0
@@ -128,11 +121,6 @@ class PerceptualLoss(LossOfTarget):
         coarse = np.square(features[-1].colors - self._structure[-1].colors).sum(axis=2)
         color = _without_noise(coarse.mean(axis=(0, 2), dtype=np.float64))
         return total / LEVELS + COLOR_WEIGHT * float(color)
-
-    def _distance_on(self, device: torch.device, size: int) -> Callable[[Tensor], Tensor]:
-        from fide_plugins.losses.perceptual_tensors import PerceptualDistance
-
-        return PerceptualDistance(self, device, size)
 
 
 def _levels(height: int, width: int) -> list[_Level]:
@@ -168,11 +156,6 @@ def _opponent(rgb: Float32) -> Float32:
     with np.errstate(under="ignore"):  # of a target that is nearly black
         colors: Float32 = (rgb.reshape(-1, 3) @ OPPONENT.T).reshape(rgb.shape)
     return colors.transpose(0, 2, 1)
-
-
-def _samples_last(x: Float32) -> Float32:
-    """(a, b, k, 3) as (a, k, 3, b), contiguous."""
-    return np.ascontiguousarray(np.moveaxis(x, 1, -1))
 
 
 def _structure(colors: Float32) -> _Structure:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from fide_plugins.encoders.texture import check_size, statistics
+from fide_plugins.encoders.texture import statistics
 from fide_plugins.losses.base import LossOfTarget
 from fide_plugins.types import Float32, Float64
 
@@ -80,7 +80,6 @@ class TextureLoss(LossOfTarget):
 
     def __init__(self, target: object) -> None:
         super().__init__(target)
-        check_size(*self.target.shape[:2])
         self._goal = statistics(self.target)
         samples = np.array([statistics(one) for one in textures_like(self.target, SAMPLES)])
         covariance = np.cov(samples.astype(np.float64), rowvar=False)

@@ -7,7 +7,7 @@
 `sources`        files of the user on which a run depends
 `signals`        Ctrl-C and SIGTERM
 `parameters`     values of parameters in their units, and how sure they are
-`figures`        PNG files: images, film frames, summary.png
+`figures`        PNG files: images, summary.png
 `plots`          what `Result.plot` and `Result.plot_pairs` draw
 ===============  ============================================================
 """

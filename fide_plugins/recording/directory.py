@@ -8,7 +8,6 @@
     best.tif, target.tif   the same as floats, where a range of values was given
     target.png     the picture to find
     target.ckpt    the same to the last bit, of a run by itself
-    frame-N.png    the best image after N renders, small, if a film is kept
     reference.png  the image that judged the best candidate of a noisy task
     summary.png    target, first render, best image, curve
     before-N/      results of a call that ended before there was a run.ckpt; another began again
@@ -70,7 +69,7 @@ LIVE = "live.json"
 """What a call says of itself between two checkpoints, see `watch.live`."""
 _RESULTS = (*TABLES, "best.png", "best.tif", "reference.png", "summary.png", CHECKPOINT)
 _WRITTEN = (
-    *_RESULTS, LIVE, TARGET_FILE, "run.json", "target.png", TARGET_VALUES, "frame-*.png",
+    *_RESULTS, LIVE, TARGET_FILE, "run.json", "target.png", TARGET_VALUES,
     "optimizer-*.ckpt", "probe",  # `check_writable`
 )  # fmt: skip
 _LOCK = ".run.lock"  # not that of a comparison, which holds its own meanwhile
@@ -314,12 +313,6 @@ class RunDirectory:
             lambda: self._write_picture("best.png", best),
             lambda: self._write_values("best.tif", values),
         )
-
-    def write_frame(self, mark: int, image: Float32) -> None:
-        """Write `frame-N.png`, the best image after `mark` renders."""
-        from fide_plugins.recording.figures import thumbnail
-
-        self._write_picture(f"frame-{mark}.png", thumbnail(image))
 
     def write_target(self, image: Float32, values: Float32 | None = None) -> None:
         """Write `target.png`, and `target.tif` of its values where these are others, once."""

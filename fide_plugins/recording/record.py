@@ -59,13 +59,11 @@ class Keep:
     """What a run records in addition to the losses; none of it counts as time of the run.
 
     metrics: names of losses that also measure every image that improves on the best loss.
-    film: small best images after 1, 3, 10, 30, ... renders; needs a run directory.
     summary: a figure of the whole run, summary.png.
     checkpoint: whether to keep the checkpoint of a finished run.
     """
 
     metrics: tuple[str, ...] = ()
-    film: bool = False
     summary: bool = True
     checkpoint: bool = True
 
@@ -100,8 +98,8 @@ class RunResult:
     """Result and cost of a run.
 
     Times are in seconds, without interruptions; `overhead_s` is all time except rendering.
-    `judge_s` is the time of the noise-free evaluation after the run, `watch_s` that of metrics and
-    film; no other time includes them.
+    `judge_s` is the time of the noise-free evaluation after the run, `watch_s` that of metrics;
+    no other time includes them.
 
     task, optimizer, loss: their names.
     seed, task_seed: of the optimizer, and of the target; None for a picture of the user's.
@@ -122,7 +120,6 @@ class RunResult:
     metrics: other losses of these improvements by name, (m,).
     judged: other losses of the reference image by name.
     generations: (g,), number of candidates of each generation.
-    samples: sum of the samples per pixel of all renders if their number rises; else None.
     status: what the optimizer knows of the run; None where it does not say.
     params: of x_best, by name and in their units; None without a space.
     """
@@ -156,7 +153,6 @@ class RunResult:
     metrics: dict[str, Float64]
     judged: dict[str, float]
     generations: npt.NDArray[np.int64]
-    samples: int | None = None
     status: Status | None = None
     params: dict[str, Any] | None = None
 
@@ -198,7 +194,6 @@ class RunResult:
             "judge_s": self.judge_s,
             "watch_s": self.watch_s,
             "times": self.times,
-            **({} if self.samples is None else {"samples": self.samples}),
             **({} if self.params is None else {"params": self.params}),
             **({} if self.status is None else self.status.to_dict()),
         }
@@ -213,7 +208,6 @@ class Record:
     path: (dim,), point of each improvement; shorter for a run that an earlier version began.
     generations: number of candidates of each generation.
     pending: (m, dim), candidates that were asked and not yet told.
-    fidelity: state of `Fidelity`, if the number of samples per pixel rises.
     failures: renders that gave no image, where a run survives them.
     """
 
@@ -232,7 +226,6 @@ class Record:
     image: Float32 | None = None
     first_image: Float32 | None = None
     pending: Float64 | None = None
-    fidelity: dict[str, Any] | None = None
     failures: int = 0
 
     @property
@@ -299,10 +292,6 @@ class Record:
         """Progress towards a budget; 0 where there is none."""
         return Progress(self.evaluations, budget, self.best_loss, self.wall_s, dict(self.times))
 
-    def judge_again(self, image: Float32, loss: float) -> None:
-        """Replace image and loss of the best candidate by those of another render."""
-        self.image, self.best_loss = image.copy(), loss if math.isfinite(loss) else math.inf
-
     def state(self) -> dict[str, Any]:
         """State for a checkpoint."""
         fields: dict[str, Any] = dict(vars(self))
@@ -362,7 +351,6 @@ def result_of(
     verdict: Verdict,
     *,
     budget: int,
-    samples: int | None = None,
     status: Status | None = None,
     space: object = None,
 ) -> RunResult:
@@ -402,7 +390,6 @@ def result_of(
         metrics={name: np.array(values) for name, values in r.metrics.items()},
         judged=dict(verdict.metrics),
         generations=_evaluated(np.array(r.generations, np.int64), r.evaluations),
-        samples=samples,
         status=status,
         params=_params(there or space, r.x_best),
     )
@@ -420,16 +407,6 @@ def _evaluated(asked: NDArray[np.int64], evaluations: int) -> NDArray[np.int64]:
 
 
 _IMAGE = maybe(numbers("H", "W", 3, low=0.0, high=1.0))
-_FIDELITY: Schema = {
-    "rule": {
-        "number": whole(1),
-        "since": whole(),
-        "halves": numbers("pairs", low=0.0),
-        "spreads": numbers("spreads", low=0.0),
-    },
-    "level": whole(),
-    "total": whole(),
-}
 _RECORD: Schema = {
     "losses": numbers("e", low=None),
     "seconds": numbers("e", low=0.0),
@@ -446,7 +423,6 @@ _RECORD: Schema = {
     "image": _IMAGE,
     "first_image": _IMAGE,
     "pending": maybe(numbers("p", "d", low=0.0, high=1.0)),
-    "fidelity": maybe(_FIDELITY),
     "failures": whole(),
 }
 

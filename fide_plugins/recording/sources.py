@@ -34,8 +34,7 @@ __all__ = [
     "with_model_there",
 ]
 
-_HYPOTHESES = "learned="  # FIDE reads this model once, when a search begins
-_MODELS = (_HYPOTHESES, "encoder=learned:")  # options, as they name the file of a learned model
+_HYPOTHESES = "learned="  # option that names the file of a learned model
 _ENCODER, _WEIGHTS = "encoder=", "weights"  # reference, and kind of the fingerprint
 _LOSS, _VERSION = "loss=", "version"
 _OBJECT = "Model"  # in the settings, for a model that was given as an object
@@ -55,7 +54,7 @@ def of_models(*options: Mapping[str, Any]) -> dict[str, str]:
         for name, value in given.items()
         if isinstance(value, str | os.PathLike)
     }
-    models = [reference for reference in sorted(named) if reference.startswith(_MODELS)]
+    models = [reference for reference in sorted(named) if reference.startswith(_HYPOTHESES)]
     return of_files({reference: of_file(file_of(reference)) for reference in models})
 
 
@@ -82,14 +81,13 @@ def loss_reference(name: str) -> str:
 def file_of(reference: str) -> str:
     """File or module of a reference, the network of an encoder, or a loss.
 
-    >>> file_of("mine.py:Search"), file_of("encoder=learned:model.fide")
+    >>> file_of("mine.py:Search"), file_of("learned=model.fide")
     ('mine.py', 'model.fide')
     >>> file_of("encoder=vgg19:relu4_1")
     'the network of vgg19:relu4_1'
     """
-    for option in _MODELS:
-        if reference.startswith(option):
-            return reference.removeprefix(option)
+    if reference.startswith(_HYPOTHESES):
+        return reference.removeprefix(_HYPOTHESES)
     if reference.startswith(_ENCODER):
         return f"the network of {reference.removeprefix(_ENCODER)}"
     if reference.startswith(_LOSS):
@@ -137,7 +135,7 @@ def versions_with(
     if begun:
         here = {name: now for name, now in here.items() if kind_of(now) != _WEIGHTS}
     if begun and before is not None and before["settings"].get("optimizer") == "fide":
-        here = {name: now for name, now in here.items() if not name.startswith(_MODELS)}
+        here = {name: now for name, now in here.items() if not name.startswith(_HYPOTHESES)}
         here.pop(loss_reference(before["settings"].get("loss", "")), None)
     newest = {reference: versions[-1:] for reference, versions in there.items()}
     for reference in edited(newest, here):

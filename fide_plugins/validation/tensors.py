@@ -1,130 +1,26 @@
-"""Renders that are a torch tensor on a GPU: checked and converted there, by the rules of `images`.
+"""Features that were encoded elsewhere.
 
-Only counts and extremes of their values come to the CPU.
+A remote worker can encode its image where it renders, and send the tokens instead of the picture:
+
+    encoder = encoders.make("dense")             # there
+    tokens = encoder(images)                     # (n, T, C)
+    opt.tell(X, losses=losses, features=tokens, version=encoder.version)  # here
+
+Two versions of an encoder, or two files of its weights, give features of the same shape.  If the
+caller passes the version, it is compared; otherwise the caller is responsible for it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from math import isfinite
-from typing import TYPE_CHECKING, Any, TypeGuard
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from fide_plugins.errors import FeaturesError
-from fide_plugins.validation.pixels import (
-    OnClip,
-    ValueRange,
-    channels_last,
-    check_batch_axes,
-    check_count,
-    from_tensor,
-    is_clipped,
-    is_torch_tensor,
-    refuse_not_finite,
-    warn_clipped,
-)
 
 if TYPE_CHECKING:
     from fide_plugins.encoders.base import PatchEncoder
-
-
-_WITH_NUMPY = ("cpu", "mps")  # whose images NumPy and OpenCV process: MPS has no float64
-
-
-def stays_on_device(images: object) -> TypeGuard[Tensor]:
-    """Whether they are a tensor that can be processed where it is, on a GPU.
-
-    On the CPU OpenCV is faster, and a tensor there shares its memory with NumPy.
-    """
-    return is_torch_tensor(images) and images.device.type not in _WITH_NUMPY  # type: ignore[attr-defined]
-
-
-def as_tensor_batch(
-    images: Tensor,
-    shape: Sequence[int] | None = None,
-    *,
-    n: int | None = None,
-    on_clip: OnClip = warn_clipped,
-    values: ValueRange | None = None,
-) -> Tensor:
-    """Return a canonical batch on the device of the images.
-
-    Parameters
-    ----------
-    images
-        (n, H, W), (n, H, W, C) or (n, C, H, W), values as in `images`.
-    shape
-        required size (H, W), or shape (H, W, 3) of the target; None: any.
-    n
-        required number of images; None: any number, also zero.
-    on_clip
-        called once, with a `pixels.Clip`, if finite values outside [0, 1] were clipped.
-    values
-        those that become 0 and 1; None: 0 and 1.
-
-    Returns
-    -------
-    float32 (n, H, W, 3) in [0, 1], without gradients; perhaps the images themselves.
-
-    Raises
-    ------
-    ImageError
-        wrong number, shape, type or values (also a ValueError).
-    """
-    size = None if shape is None else (int(shape[0]), int(shape[1]))
-    what = "the batch of images"
-    images = images.detach()
-    if not (images.is_floating_point() or images.dtype in (torch.uint8, torch.bool)):
-        from_tensor(images, what, values is not None)  # raises, but for numbers with a range
-    check_batch_axes(images, size, what)
-    check_count(len(images), n)
-    pixels = _unit_range(channels_last(images, 1, True, size, what), what, on_clip, values)
-    if pixels.shape[-1] == 4:
-        color, alpha = pixels[..., :3], pixels[..., 3:]
-        return 1.0 - alpha * (1.0 - color)
-    return pixels.expand(*pixels.shape[:-1], 3)
-
-
-def _unit_range(pixels: Any, what: str, on_clip: OnClip, scale: ValueRange | None) -> Tensor:
-    """Values of (..., C) as float32 in [0, 1]."""
-    values: Tensor = pixels.float() if scale is None else _scaled(pixels, scale)
-    if scale is None and pixels.dtype == torch.uint8:
-        return values / 255
-    if (scale is None and pixels.dtype == torch.bool) or not pixels.numel():
-        return values
-    low, high = torch.stack([values.min(), values.max()]).cpu().tolist()  # two numbers, one copy
-    if not (isfinite(low) and isfinite(high)):
-        bad = values.numel() - int(torch.isfinite(values).sum())
-        raise refuse_not_finite(what, bad, pixels)
-    if not is_clipped(values, pixels, low, high, what, on_clip, scale):
-        return values
-    return values.clamp(0.0, 1.0)
-
-
-def _scaled(pixels: Tensor, scale: ValueRange) -> Tensor:
-    """Float32 (..., C) of which [0, 1] is the value range, and the alpha channel has its own."""
-    colors = ((pixels[..., :3].double() - scale.low) / scale.span).float()
-    if pixels.shape[-1] != 4:
-        return colors
-    alpha = pixels[..., 3:]
-    whole = not (alpha.is_floating_point() or alpha.dtype == torch.bool)
-    share = alpha / torch.iinfo(alpha.dtype).max if whole else alpha
-    return torch.cat([colors, share.float()], dim=-1)
-
-
-# -- features that were encoded elsewhere ----------------------------------------------------------
-#
-# A remote worker can encode its image where it renders, and send the tokens instead of the picture:
-#
-#     encoder = encoders.make("dense")             # there
-#     tokens = encoder(images)                     # (n, T, C)
-#     opt.tell(X, losses=losses, features=tokens, version=encoder.version)  # here
-#
-# Two versions of an encoder, or two files of its weights, give features of the same shape.  If the
-# caller passes the version, it is compared; otherwise the caller is responsible for it.
 
 
 def as_features(

@@ -9,8 +9,14 @@ import torch
 
 from fide_plugins import losses
 from fide_plugins.errors import LossError
-from fide_plugins.losses.base import CallableLoss, ImageLoss, LossOfTarget, as_losses
-from fide_plugins.losses.own import check_loss, loss_not_stored
+from fide_plugins.losses.base import (
+    CallableLoss,
+    ImageLoss,
+    LossOfTarget,
+    as_losses,
+    check_loss,
+    loss_not_stored,
+)
 from fide_plugins.runtime.registry import name_of
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.types import Float32, Float64
@@ -30,7 +36,7 @@ def loss_of(
     """Loss from a name, None for "mse", a callable, or a loss of one view that was made.
 
     A callable gets a list of batches (n, H, W, 3) if the target is a list, one batch otherwise.  A
-    user's own is tried on the target first (`losses.own`).
+    user's own is tried on the target first (`losses.base`).
     Raises as `losses.resolve`; LossError for a made loss where there are several views.
     """
     if isinstance(loss, LossOfViews | CallableOfViews):

@@ -2,14 +2,15 @@
 
     >>> from fide_lab import optimizers
     >>> optimizers.names()[:4]
-    ['bipop-cma-es', 'cma', 'composite-bo', 'dfols']
+    ['cma', 'dfols', 'dibo', 'dual-annealing']
     >>> opt = optimizers.make("cma", 3, popsize=8, seed=0)
     >>> opt.ask().shape
     (8, 3)
 
 ``"nevergrad:NAME"`` and ``"optuna:NAME"`` are any optimizer of these frameworks, by the name that
-it has there; ``"FILE.py:NAME"`` and ``"module:NAME"`` one of the user's, see `baselines.own`.
-Importing this module imports none of them.
+it has there; ``"FILE.py:NAME"`` and ``"module:NAME"`` one of the user's, see `baselines.own`.  In
+place of a name there may be a class or a function that makes an optimizer.  Importing this module
+imports none of them.
 """
 
 from __future__ import annotations
@@ -18,15 +19,15 @@ import inspect
 import os
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from fide_lab.baselines import FAMILIES, PLACES as BASELINES
 from fide_plugins.errors import OptionError
-from fide_plugins.runtime.registry import Registry, is_reference
+from fide_plugins.runtime.registry import Registry, is_reference, own_name
+from fide_plugins.types import Optimizer
 
 if TYPE_CHECKING:
     from fide_plugins.space import Space
-    from fide_plugins.types import Optimizer
 
 __all__ = ["check", "load", "make", "names", "options", "register", "source_of"]
 
@@ -35,6 +36,9 @@ PLACES: Mapping[str, str] = {"fide": "fide_plugins.fide:FIDE", **BASELINES}
 _REGISTRY: Registry[Any] = Registry("optimizer", [f"{family}:NAME" for family in FAMILIES])
 for _name, _place in PLACES.items():
     _REGISTRY.register(_name, _place)
+
+Named: TypeAlias = str | Callable[..., Any]
+"""Name of an optimizer, its class, or a function that makes one."""
 
 
 def names() -> list[str]:
@@ -45,7 +49,8 @@ def names() -> list[str]:
 def register(name: str, cls: Callable[..., Optimizer] | str) -> None:
     """Make the class `cls`, or the one at ``"module:attribute"``, known by `name`.
 
-    It may be a function that makes an optimizer, too; `load` needs a class.  A class with a true
+    It may be a function that makes an optimizer, too; `load` needs a class.  A class of which
+    `types.Optimizer` is more than it has is wrapped by `baselines.own`.  A class with a true
     attribute `takes_space` gets the `Space`, where there is one; others its number of parameters.
 
     Raises OptionError (a ValueError) for a name with a colon, or a `cls` that is neither
@@ -54,7 +59,7 @@ def register(name: str, cls: Callable[..., Optimizer] | str) -> None:
     _REGISTRY.register(name, cls)
 
 
-def check(name: str, settings: Iterable[str]) -> None:
+def check(name: Named, settings: Iterable[str]) -> None:
     """Check a name and those of `settings`, without making an optimizer.
 
     Raises UnknownNameError, or OptionError listing the options there are (both ValueErrors).
@@ -66,7 +71,7 @@ def check(name: str, settings: Iterable[str]) -> None:
         raise OptionError(f"{name} has no option {unknown[0]!r}; its options: {listed}")
 
 
-def make(name: str, dim: int | Space, target: object = None, **settings: Any) -> Optimizer:
+def make(name: Named, dim: int | Space, target: object = None, **settings: Any) -> Optimizer:
     """Optimizer `name` over [0, 1]^dim for `target`, with its own `settings`.
 
     dim: number of parameters; or a space, of which most optimizers see the number only, and those
@@ -82,6 +87,11 @@ def make(name: str, dim: int | Space, target: object = None, **settings: Any) ->
     if blocks and space is not dim and "groups" in options(name):
         settings = {"groups": blocks, **settings}
     optimizer: Optimizer = cls(space, target, **settings)
+    if not isinstance(optimizer, Optimizer):
+        raise OptionError(
+            f"{own_name(cls)} makes {own_name(optimizer)}, which is no whole optimizer; give its "
+            "class, not a function that makes it"
+        )
     return optimizer
 
 
@@ -107,7 +117,7 @@ def load(
     return loaded
 
 
-def options(name: str) -> list[str]:
+def options(name: Named) -> list[str]:
     """Names of the options of optimizer `name`; empty where it takes any."""
     known: set[str] = set()
     resolved = _resolve(name)
@@ -123,13 +133,13 @@ def options(name: str) -> list[str]:
     return []
 
 
-def source_of(name: str) -> str | None:
+def source_of(name: Named) -> str | None:
     """Fingerprint of the file of the user's class `name`; None for any other optimizer."""
     found = getattr(_resolve(name), "source", None)
     return found if isinstance(found, str) else None
 
 
-def _resolve(name: str) -> Any:
+def _resolve(name: Named) -> Any:
     """Class of that name, or function that makes such an optimizer."""
     if isinstance(name, str) and name not in names():
         family, _, method = name.partition(":")
@@ -139,7 +149,16 @@ def _resolve(name: str) -> Any:
             from fide_lab.baselines.own import own
 
             return own(name)
-    return _REGISTRY.resolve(name)
+    found = name if callable(name) else _REGISTRY.resolve(name)
+    if isinstance(found, type) and not all(hasattr(found, part) for part in _METHODS):
+        from fide_lab.baselines.own import own
+
+        return own(found)
+    return found
+
+
+_METHODS = ("ask", "ask_ready", "tell", "recommend", "save", "load")
+"""Of `types.Optimizer`."""
 
 
 @cache

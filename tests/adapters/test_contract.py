@@ -27,7 +27,7 @@ from PIL import Image
 from fide_adapters.image_loss import ImageRef
 from fide_adapters.nevergrad import NoImagesWarning, ParametrizedFIDE
 from fide_adapters.optuna import FIDESampler
-from fide_plugins import FIDE, Choice, Float, Int, Space, encoders, learn
+from fide_plugins import FIDE, Choice, Float, Int, Space, encoders
 from fide_plugins.errors import FeaturesError, ImageError, LossError, ValueRangeError
 from fide_plugins.space import Kind
 from fide_plugins.types import Float32
@@ -199,18 +199,6 @@ PROBLEMS: dict[str, tuple[Kinds, Any, Params]] = {
 def test_it_asks_what_fide_asks(adapter: type[Adapter], what: str) -> None:
     kinds, render, settings = PROBLEMS[what]
     check_candidates(adapter, kinds, render, render(ANSWER), **settings)
-
-
-def test_so_it_is_with_the_encoder_of_a_learned_model(
-    adapter: type[Adapter], tmp_path: Path
-) -> None:
-    def ramp(x: Any) -> Any:
-        return np.repeat(np.linspace(x[0], x[1], 16)[None], 16, axis=0)
-
-    learn(ramp, 2, renders=100, size=16, passes=1, out=tmp_path / "model.fide")
-    kinds = {"a": Float(0, 1), "b": Float(0, 1)}
-    settings = {"encoder": f"learned:{tmp_path / 'model.fide'}", "popsize": 6}
-    check_candidates(adapter, kinds, lambda p: ramp(list(p.values())), ramp([0.2, 0.7]), **settings)
 
 
 @pytest.mark.filterwarnings("ignore::fide_adapters.nevergrad.NoImagesWarning")

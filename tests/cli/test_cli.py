@@ -204,17 +204,10 @@ def test_list_says_what_is_missing(no_weights: Path, capsys: pytest.CaptureFixtu
         ("encoders", "vgg19", "no weights of VGG-19 at"),
         ("losses", "lpips", "no weights of AlexNet at"),
         ("losses", "lpips:vgg", "no weights of VGG-16 at"),
-        ("losses", "lpips:squeeze", "no weights of SqueezeNet 1.1 at"),
     ]:
         assert fide("list", kind) == 0
         (line,) = (x for x in capsys.readouterr().out.splitlines() if x.split()[0] == name)
         assert re.match(rf"{name} +not here: {needs} .*download=True", line)
-
-
-def test_list_says_what_a_learned_encoder_needs(capsys: pytest.CaptureFixture[str]) -> None:
-    assert fide("list", "encoders") == 0
-    (line,) = (x for x in capsys.readouterr().out.splitlines() if x.startswith("learned"))
-    assert re.match("learned +the encoder 'learned' needs the file of a model: ", line)
 
 
 def test_list_finds_weights_that_are_there(
@@ -222,7 +215,7 @@ def test_list_finds_weights_that_are_there(
 ) -> None:
     for kind, expected in [
         ("encoders", {"vgg19"}),
-        ("losses", {"lpips", "lpips:squeeze", "lpips:vgg"}),
+        ("losses", {"lpips", "lpips:vgg"}),
     ]:
         assert fide("list", kind) == 0
         assert expected <= set(capsys.readouterr().out.splitlines())
@@ -247,18 +240,15 @@ def test_doctor_says_which_weights_are_here(
     monkeypatch.setenv("TORCH_HOME", str(tmp_path))
     assert fide("doctor") == 0
     lines = dict(line.partition(": ")[::2] for line in capsys.readouterr().out.splitlines())
-    here, learned, absent = lines["encoders"].split("; ")
+    here, absent = lines["encoders"].split("; ")
     assert {"dense", "patch"} <= set(here.split(", "))
-    assert learned == "with a model of yours: learned:FILE"
     assert "vgg19" in absent.removeprefix("not here: ").split(", ")
-    assert lines["losses"] == (
-        "loi, mse, perceptual, texture; not here: lpips, lpips:squeeze, lpips:vgg"
-    )
+    assert lines["losses"] == "loi, mse, perceptual, texture; not here: lpips, lpips:vgg"
     for kind in ("encoders", "losses"):  # as the command that gives the reasons
         assert fide("list", kind) == 0
         output = capsys.readouterr().out.splitlines()
-        listed = [line.split() for line in output if not line.startswith("learned ")]
-        usable, *_, missing = re.split("; (?:not here: )?", lines[kind])
+        listed = [line.split() for line in output]
+        usable, missing = re.split("; not here: ", lines[kind])
         assert usable.split(", ") == [words[0] for words in listed if len(words) == 1]
         assert missing.split(", ") == [words[0] for words in listed if len(words) > 1]
 
@@ -390,29 +380,3 @@ def test_the_bar_shows_speed_loss_and_shares(monkeypatch: pytest.MonkeyPatch) ->
     text = terminal.getvalue()
     for part in ("[red]x", "300/1000", "best 0.0125", "200 renders/s", "render 50%", "encode 25%"):
         assert part in text
-
-
-@pytest.mark.parametrize("terminal", [False, True])
-def test_progress_of_the_rounds_before_a_search(
-    terminal: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """What is done, and how fast it renders; there is no best loss yet."""
-    import io
-
-    from fide_lab.run import Progress
-    from fide_plugins.cli import progress
-
-    written = io.StringIO()
-    written.isatty = lambda: terminal  # type: ignore[method-assign]
-    monkeypatch.setattr(sys, "stderr", written)
-    monkeypatch.setattr(progress, "_EVERY", 0.0)
-    monkeypatch.setenv("COLUMNS", "200")
-    monkeypatch.setenv("TERM", "xterm")
-    nothing = dict.fromkeys(("render", "encode", "train", "search"), 0.0)
-    with progress.reporting("x") as report:
-        for done, seconds in ((0, 1.0), (300, 4.0)):
-            report(Progress(done, 1000, np.inf, seconds, nothing, "rendering for the first model"))
-    text = written.getvalue()
-    for part in ("300/1000", "100 renders/s", "rendering for the first model"):
-        assert part in text
-    assert "inf" not in text

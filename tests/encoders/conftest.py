@@ -13,9 +13,6 @@ import torch
 
 from fide_plugins import encoders
 from fide_plugins.encoders.base import PatchEncoder
-from fide_plugins.learning import Model, Report
-from fide_plugins.learning.judging import Familiarity
-from fide_plugins.learning.networks import Network
 from fide_plugins.types import Float32
 
 TINY: dict[str, Any] = {"hidden_size": 32, "num_hidden_layers": 2, "num_attention_heads": 2}
@@ -85,33 +82,6 @@ def checkerboard() -> Callable[[int, int], Float32]:
     return make
 
 
-@pytest.fixture(scope="session")
-def random_model() -> Callable[..., Model]:
-    """Makes a model of three parameters with random weights, for images of a size."""
-
-    def make(size: tuple[int, int], seed: int = 0) -> Model:
-        network = Network(size, [False] * 3, seed=seed)
-        network.eval()
-        known = Familiarity(np.zeros(256), np.eye(256), 1.0)
-        report = Report(
-            renders=0, failed=0, held_out=1, seconds=0.0, nll=0.0, within=(0.0, 0.0), coverage=0.0,
-            ranks=(0.9,) * 3, unseen=(), curve=(), augment="none", scale=1.0, fitted=0,
-            parameters=3, emulated=None,
-        )  # fmt: skip
-        axes = (False,) * 3
-        return Model(network, None, size, "random", None, "autoregressive", axes, (), known, report)
-
-    return make
-
-
-@pytest.fixture
-def model_file(random_model: Callable[..., Model], tmp_path: Path) -> Path:
-    """File of a model for square images."""
-    path = tmp_path / "square.fide"
-    random_model((32, 32)).save(path)
-    return path
-
-
 @pytest.fixture
 def make(request: pytest.FixtureRequest) -> Callable[..., PatchEncoder]:
     """Replacement of `encoders.make` that finds weights for every name."""
@@ -119,8 +89,6 @@ def make(request: pytest.FixtureRequest) -> Callable[..., PatchEncoder]:
     def make(name: str, **options: Any) -> PatchEncoder:
         if name == "dinov3":
             options["variant"] = str(request.getfixturevalue("dino_folders")["dinov3"])
-        elif name == "learned":
-            name = f"learned:{request.getfixturevalue('model_file')}"
         elif name == "vgg19":
             request.getfixturevalue("cached_weights")
         return encoders.make(name, **options)

@@ -1,3 +1,5 @@
+"""What every encoder promises."""
+
 from collections.abc import Callable
 from typing import TypeAlias
 
@@ -15,20 +17,11 @@ Make: TypeAlias = Callable[..., PatchEncoder]
 RNG = np.random.default_rng(2)
 SIZES = [(8, 8), (17, 16), (30, 50), (64, 8), (112, 112)]
 
-NOT_SQUARE = [(30, 50), (64, 8)]  # the model of `learned` is of square images
-
 every_encoder = pytest.mark.parametrize("name", encoders.names())
-every_size = pytest.mark.parametrize(
-    ("name", "size"),
-    [
-        (name, size)
-        for name in encoders.names()
-        for size in SIZES
-        if name != "learned" or size not in NOT_SQUARE
-    ],
-)
+every_size = pytest.mark.parametrize("size", SIZES)
 
 
+@every_encoder
 @every_size
 def test_shape_and_type(name: str, size: tuple[int, int], make: Make) -> None:
     encoder = make(name)
@@ -49,6 +42,7 @@ def test_a_user_who_raises_floating_point_errors_gets_the_same_tokens(
         assert torch.equal(make(name)(images), expected)
 
 
+@every_encoder
 @every_size
 def test_tokens_of_an_image_do_not_depend_on_its_batch(
     name: str, size: tuple[int, int], make: Make, monkeypatch: pytest.MonkeyPatch

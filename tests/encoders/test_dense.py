@@ -1,8 +1,21 @@
+"""The channels of `dense`, and what it does with noise."""
+
 import numpy as np
 import pytest
+import torch
 from hypothesis import given, settings, strategies as st
+from scipy.ndimage import median_filter
 
-from fide_plugins.encoders.dense import DenseEncoder, box_weights, grid
+import fide_tasks
+from fide_plugins.encoders.dense import (
+    SMALLEST,
+    DenseEncoder,
+    box_weights,
+    despeckled,
+    grid,
+    noise_level,
+    sampled,
+)
 
 RNG = np.random.default_rng(3)
 MEAN, RIGHT, DOWN, DIAGONAL = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
@@ -130,3 +143,82 @@ def test_boxes_share_out_every_pixel(pixels: int, boxes: int) -> None:
     weights = box_weights(pixels, boxes).astype(np.float64)
     np.testing.assert_allclose(weights.sum(axis=1), 1.0, atol=1e-6)
     np.testing.assert_allclose(weights.sum(axis=0), boxes / pixels, atol=1e-5, rtol=1e-5)
+
+
+# -- noise -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("size", "changed"),
+    [((SMALLEST, 101), True), ((SMALLEST, SMALLEST - 1), False), ((1, 9000), True)],
+)
+def test_despeckled_images_are_medians_but_small_ones_stay(
+    size: tuple[int, int], changed: bool
+) -> None:
+    image = RNG.random((*size, 3), dtype=np.float32)
+    before = image.copy()
+    medians = median_filter(image, size=(3, 3, 1), mode="nearest")
+    np.testing.assert_array_equal(despeckled(image), medians if changed else image)
+    np.testing.assert_array_equal(image, before)
+
+
+@pytest.mark.parametrize(("size", "every"), [((112, 90), 4), ((97, 112), 3), ((20, 400), 1)])
+def test_the_noise_level_is_a_median_over_some_rows(size: tuple[int, int], every: int) -> None:
+    image = (0.5 + 0.05 * RNG.standard_normal((*size, 3))).astype(np.float32)
+    clean = despeckled(image)
+    away = np.abs(image - clean).max(axis=2)[::every].ravel()
+    assert noise_level(image, clean) == np.sort(away)[away.size // 2]
+
+
+def without_smoothing(images: np.ndarray) -> torch.Tensor:
+    """Tokens of images that are despeckled only."""
+    rows, columns = grid(*images.shape[1:3])
+    samples = [sampled(despeckled(image), 2 * rows, 2 * columns) for image in images]
+    return DenseEncoder()._encode(torch.from_numpy(np.stack(samples).clip(0, 1)))
+
+
+@pytest.mark.parametrize("name", ["voronoi", "spline", "robot"])
+def test_images_without_noise_are_not_smoothed(name: str) -> None:
+    if name == "robot":
+        pytest.importorskip("mujoco")
+    task = fide_tasks.make(name, 112, 1)
+    images = task.render(np.random.default_rng(1).random((4, task.dim)))
+    assert [noise_level(image, despeckled(image)) for image in images] == [0.0] * 4
+    assert torch.equal(DenseEncoder()(images), without_smoothing(images))
+
+
+def picture() -> np.ndarray:
+    """A smooth picture with an edge, (112, 112, 3)."""
+    y, x = (np.mgrid[:112, :112] + 0.5) / 112
+    image = np.stack([0.3 + 0.3 * x, 0.6 - 0.3 * y, 0.2 + 0.3 * x * y], axis=-1)
+    image[np.hypot(x - 0.5, y - 0.4) < 0.25] = (0.8, 0.3, 0.5)
+    return image.astype(np.float32)
+
+
+def noise(scale: float) -> np.ndarray:
+    return (scale * RNG.standard_normal((112, 112, 3))).astype(np.float32)
+
+
+def test_noise_is_smoothed_away_and_edges_stay() -> None:
+    clean = picture()
+    images = np.stack([clean + noise(0.1) for _ in range(8)]).clip(0, 1)
+    expected = DenseEncoder()(clean[None])
+    before, after = (
+        (tokens - expected).square().mean().sqrt()
+        for tokens in (without_smoothing(images), DenseEncoder()(images))
+    )
+    assert after < 0.75 * before
+    contrast = expected[0, :, 3:9].abs().amax()
+    assert DenseEncoder()(images)[:, :, 3:9].abs().amax() > 0.6 * contrast
+
+
+def test_no_amount_of_noise_makes_a_jump() -> None:
+    """The largest change of the features shrinks with the change of the noise."""
+    clean, one = picture(), noise(0.1)
+
+    def largest_step(steps: int) -> float:
+        scales = np.linspace(0, 0.2, steps + 1, dtype=np.float32)  # from no smoothing to all of it
+        images = np.stack([clean + s * one for s in scales]).clip(0, 1)
+        return float(DenseEncoder()(images).diff(dim=0).flatten(1).norm(dim=1).max())
+
+    assert largest_step(80) < 0.3 * largest_step(20)

@@ -73,12 +73,12 @@ def test_one_vector_is_one_token(target: Float32) -> None:
 @pytest.mark.parametrize(
     ("encoder", "message"),
     [
-        (lambda images: images, r"\(n, T, C\) or \(n, C\).*of shape \(2, 16, 16, 3\)"),
-        (lambda images: quarters(images)[:1], r"of shape \(1, 4, 3\) for n = 2"),
-        (lambda images: quarters(images) > 0.5, "of torch.bool"),
-        (lambda images: quarters(images) / 0.0, "with NaN or infinity"),
+        (lambda images: images, r"\(n, T, C\) or \(n, C\).*the shape \(2, 16, 16, 3\)"),
+        (lambda images: quarters(images)[:1], r"the shape \(1, 4, 3\) for n = 2"),
+        (lambda images: quarters(images) > 0.5, "torch.bool"),
+        (lambda images: quarters(images) / 0.0, "finite floats.*torch.float32"),
         (lambda images: "features", "finite floats"),
-        (lambda images: None, "returned a NoneType"),
+        (lambda images: None, "returned NoneType"),
         (lambda images: quarters(images) - quarters(images).mean(0), "same features in every"),
         (lambda images: images.permute(0, 3, 1, 2), "tried on two images.*AttributeError"),
     ],
@@ -97,7 +97,7 @@ def test_features_that_fail_later_change_nothing(target: Float32) -> None:
 
     opt = FIDE(6, target, encoder=dark_fails, popsize=4, seed=0)
     X = opt.ask()
-    with pytest.raises(FeaturesError, match="NaN or infinity"):
+    with pytest.raises(FeaturesError, match="finite floats"):
         opt.tell(X, np.zeros((4, 16, 16, 3), np.float32))
     assert opt.evaluations == 0
 

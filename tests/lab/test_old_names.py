@@ -24,8 +24,7 @@ sys.exit(main(sys.argv[1:]))
     ("old", "new", "attribute"),
     [
         ("fide_plugins.baselines", "fide_lab.baselines", "CMA"),
-        ("fide_plugins.baselines.evolution", "fide_lab.baselines.evolution", "PGPE"),
-        ("fide_plugins.baselines.npe", "fide_lab.baselines.npe", "NPE"),
+        ("fide_plugins.baselines.evolution", "fide_lab.baselines.evolution", "CMA"),
         ("fide_plugins.experiments.compare", "fide_lab.compare", "Plan"),
         ("fide_plugins.experiments.run.prepare", "fide_lab.run.prepare", "make_task"),
         ("fide_plugins.experiments.solutions", "fide_plugins.solutions", "Found"),

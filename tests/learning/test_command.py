@@ -173,28 +173,6 @@ def test_a_model_of_another_state_of_the_file_is_noticed(
     assert "learned 'gradient.py:render', and that is not what" in capsys.readouterr().err
 
 
-def test_a_fit_with_the_encoder_of_a_model_is_recorded_and_resumed(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    learn = learned_gradient()
-    fit = ("fit", "t.png", "--renderer", "gradient.py:render", "--workers", 0, "--out", "f")
-    words = (*fit, "--until", "budget", "--seed", 1, "--json", "--encoder")
-    assert fide(*words, "learned:m.fide", "--budget", 20) == 0
-    options = json.loads(Path("f/run.json").read_text())["settings"]["options"]
-    assert options == {"encoder": "learned:m.fide"}
-    assert fide(*words, "learned:m.fide", "--budget", 40, "--resume") == 0
-    resumed = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert fide(*words, "learned:m.fide", "--budget", 40, "--out", "whole") == 0
-    whole = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert (resumed["evaluations"], resumed["x_best"]) == (40, whole["x_best"])
-
-    assert fide(*words, "learned:absent.fide", "--budget", 60, "--out", "g") == 2
-    assert "absent.fide: No such file" in capsys.readouterr().err
-    assert fide(*learn, "--renders", 200, "--resume") == 0
-    assert fide(*words, "learned:m.fide", "--budget", 60, "--resume") == 2
-    assert "features of the encoder learned-1-" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_keeps_what_is_there_and_resume_goes_on(
     signum: signal.Signals, forked_command: Callable[..., Any]

@@ -413,25 +413,6 @@ def test_a_saved_search_says_that_its_model_was_learned_again(
     assert json.loads((out / "run.json").read_text())["sources"] == before
 
 
-def test_a_saved_run_says_that_the_model_of_its_encoder_was_learned_again(
-    learned: Path, model: Model, tmp_path: Path
-) -> None:
-    here, out = tmp_path / "m.fide", tmp_path / "run"
-    shutil.copy(learned, here)
-    settings: dict[str, Any] = {"options": {"encoder": f"learned:{here}"}, "out": out}
-
-    def resumed(budget: int) -> None:
-        harness.run(Scene(), "fide-annealing", "mse", budget, 1, resume=True, **settings)
-
-    resumed(10)
-    resumed(20)
-    replace(model, renderer="another").save(here)
-    with pytest.warns(RuntimeWarning, match="m.fide has changed since the run in .*undo it"):
-        resumed(30)
-    versions = json.loads((out / "run.json").read_text())["sources"][f"encoder=learned:{here}"]
-    assert versions == [of_file(learned), of_file(here)]
-
-
 def test_a_fit_without_a_model_gets_none_later(learned: Path, tmp_path: Path) -> None:
     settings: dict[str, Any] = {"workers": 0, "seed": 0, "out": tmp_path}
     fit(disk, PICTURE, SPACE, budget=10, **settings)

@@ -29,9 +29,8 @@ RNG = np.random.default_rng(12)
 FILES = {
     "alex": "alexnet-owt-7be5be79",
     "vgg": "vgg16-397923af",
-    "squeeze": "squeezenet1_1-b8a52dc0",
 }
-SMALLEST = {"alex": 31, "vgg": 16, "squeeze": 17}
+SMALLEST = {"alex": 31, "vgg": 16}
 every_variant = pytest.mark.parametrize("variant", FILES)
 
 
@@ -46,8 +45,7 @@ def pair(height: int, width: int) -> tuple[Float32, Float32]:
 def activations(variant: str, state: dict[str, Tensor], x: Tensor) -> list[Tensor]:
     """The layers that are compared.
 
-    Of AlexNet all five ReLUs, of VGG-16 the last one of each block, of SqueezeNet the first ReLU,
-    what goes into a pooling, and each fire layer after the last pooling.
+    Of AlexNet all five ReLUs, of VGG-16 the last one of each block.
     """
 
     def conv(x: Tensor, name: str, stride: int = 1, padding: int = 1) -> Tensor:
@@ -60,30 +58,12 @@ def activations(variant: str, state: dict[str, Tensor], x: Tensor) -> list[Tenso
         three = conv(F.max_pool2d(two, 3, 2), "6")
         four = conv(three, "8")
         return [one, two, three, four, conv(four, "10")]
-    if variant == "vgg":
-        layers: list[Tensor] = []
-        for block in ((0, 2), (5, 7), (10, 12, 14), (17, 19, 21), (24, 26, 28)):
-            x = F.max_pool2d(x, 2) if layers else x
-            for number in block:
-                x = conv(x, str(number))
-            layers.append(x)
-        return layers
-
-    def fire(x: Tensor, number: int) -> Tensor:
-        x = conv(x, f"{number}.squeeze", padding=0)
-        wide = conv(x, f"{number}.expand1x1", padding=0), conv(x, f"{number}.expand3x3")
-        return torch.cat(wide, dim=1)
-
-    def pool(x: Tensor) -> Tensor:
-        return F.max_pool2d(x, 3, 2, ceil_mode=True)
-
-    one = conv(x, "0", 2, 0)
-    two = fire(fire(pool(one), 3), 4)
-    three = fire(fire(pool(two), 6), 7)
-    four = fire(pool(three), 9)
-    layers = [one, two, three, four]
-    for number in (10, 11, 12):
-        layers.append(fire(layers[-1], number))
+    layers: list[Tensor] = []
+    for block in ((0, 2), (5, 7), (10, 12, 14), (17, 19, 21), (24, 26, 28)):
+        x = F.max_pool2d(x, 2) if layers else x
+        for number in block:
+            x = conv(x, str(number))
+        layers.append(x)
     return layers
 
 
@@ -120,7 +100,7 @@ def test_variants_and_their_names(cached_weights: Path) -> None:
     target = RNG.random((32, 32, 3))
     assert losses.make("lpips", target).name == losses.make("lpips:alex", target).name == "lpips"
     assert losses.make("lpips:vgg", target).name == "lpips:vgg"
-    with pytest.raises(OptionError, match="variants alex, vgg, squeeze, not 'vgg19'"):
+    with pytest.raises(OptionError, match="variants alex, vgg, not 'vgg19'"):
         losses.make("lpips:vgg19", target)
     with pytest.raises(OptionError, match="the loss 'mse' has no variants, got mse:alex"):
         losses.make("mse:alex", target)
@@ -154,18 +134,6 @@ def test_without_weights(no_weights: Path) -> None:
     assert not no_weights.exists()
 
 
-def test_without_heads(
-    cached_weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(lpips_module, "find_spec", lambda name: None)
-    network = cached_weights / "alexnet-owt-7be5be79.pth"
-    torch.hub.set_dir(tmp_path)
-    with pytest.raises(
-        WeightsNotFoundError, match=r"LPIPS 0\.1 \(alex\) at .*lpips-v0\.1-alex\.pth"
-    ):
-        losses.make("lpips", np.zeros((40, 40, 3)), weights=network)
-
-
 def test_heads_of_the_package_are_found(
     cached_weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -182,16 +150,6 @@ def test_heads_of_the_package_are_found(
     np.testing.assert_allclose(losses.make("lpips", a)(b[None]), 2 * single, rtol=1e-6)
 
 
-def test_the_version_says_which_heads(cached_weights: Path, tmp_path: Path) -> None:
-    target = np.zeros((40, 40, 3))
-    heads = weights.read(cached_weights / "lpips-v0.1-alex.pth")
-    heads["lin4.model.1.weight"][0, 3] += 1e-6
-    torch.save(heads, tmp_path / "heads.pth")
-    published = losses.make("lpips", target)
-    assert published.version == losses.make("lpips", target).version
-    assert published.version != losses.make("lpips", target, heads=tmp_path / "heads.pth").version
-
-
 @pytest.mark.parametrize("who", ["FIDE", "FIDESampler", "ParametrizedFIDE"])
 def test_it_computes_where_the_optimizer_does(
     who: str, cached_weights: Path, monkeypatch: pytest.MonkeyPatch
@@ -205,17 +163,17 @@ def test_it_computes_where_the_optimizer_does(
     monkeypatch.setattr(lpips_module, "resolve_device", resolve_device)
     target, device = np.zeros((32, 32, 3), np.float32), "cpu:0"
     if who == "FIDE":
-        FIDE(3, target, loss="lpips:squeeze", device=device)
+        FIDE(3, target, loss="lpips:vgg", device=device)
     elif who == "FIDESampler":
         pytest.importorskip("optuna")
         from fide_adapters.optuna import FIDESampler
 
-        FIDESampler(target, loss="lpips:squeeze", device=device)
+        FIDESampler(target, loss="lpips:vgg", device=device)
     else:
         ng = pytest.importorskip("nevergrad")
         from fide_adapters.nevergrad import ParametrizedFIDE
 
-        make = ParametrizedFIDE(target=target, loss="lpips:squeeze", device=device)
+        make = ParametrizedFIDE(target=target, loss="lpips:vgg", device=device)
         opt = make(ng.p.Array(shape=(3,)), budget=10)
         opt.tell(opt.ask(), target)
     assert asked == [device]
@@ -243,6 +201,6 @@ def test_heads_below_zero(cached_weights: Path, tmp_path: Path) -> None:
     heads = weights.read(cached_weights / "lpips-v0.1-alex.pth")
     heads["lin2.model.1.weight"][0, 7] = -0.25
     torch.save(heads, tmp_path / "heads.pth")
-    message = r"heads\.pth: 'lin2\.model\.1\.weight', of shape \(1, 384, 1, 1\), .*least -0\.25"
+    message = r"heads\.pth: 'lin2\.model\.1\.weight' has values below 0, the least -0\.25"
     with pytest.raises(WeightsMismatchError, match=message):
         losses.make("lpips", np.zeros((40, 40, 3)), heads=tmp_path / "heads.pth")

@@ -92,24 +92,6 @@ def test_a_made_loss_must_be_of_this_target_s_shape(registered: str, target: Flo
         FIDE(6, target[:8], loss=made)
 
 
-def test_a_mask_is_no_option_of_a_registered_loss(registered: str, target: Float32) -> None:
-    """Its `weights` may be anything, such as those of a network; the mask would count twice."""
-    given: list[object] = []
-
-    def make(target: Float32, *, weights: object = None) -> Loss:
-        given.append(weights)
-        return l1(target)
-
-    mask = np.eye(16, dtype=np.float32)
-    images = np.stack([target, 1 - target])
-    expected = FIDE(6, target, mask=mask, loss=registered).evaluator.loss(images)
-    losses.register(registered, make)
-    assert not losses.takes_weights(registered)
-    masked = FIDE(6, target, mask=mask, loss=registered)
-    np.testing.assert_array_equal(masked.evaluator.loss(images), expected)
-    assert given == [None]
-
-
 def test_a_loss_may_weigh_pixels_itself(registered: str, target: Float32) -> None:
     class Weighted(MeanSquaredError):
         """An own class that takes weights as `mse` does."""

@@ -5,14 +5,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 
 from fide_plugins import FIDE, Float, Space, fit, load_run
 from fide_plugins.errors import CheckpointError, ImageError, OptionError
 from fide_plugins.recording.storage import RunDirectoryError, read_run
 from fide_plugins.validation.images import as_batch, load, save
 from fide_plugins.validation.pixels import ValueRange
-from fide_plugins.validation.tensors import as_tensor_batch
 
 V, U = np.mgrid[0:16, 0:16] / 15
 SPACE = Space(x=Float(0, 1), y=Float(0, 1), power=Float(0.5, 2))
@@ -109,8 +107,6 @@ def test_numbers_of_any_type_are_mapped(kind: Any, channels: int | None) -> None
     colors = images[..., :3] if images.ndim == 4 else images[..., None]
     expected = np.broadcast_to((colors.astype(np.float64) + 20) / 200, (2, 7, 5, 3))
     np.testing.assert_allclose(batch, expected, atol=1e-6)
-    tensors = as_tensor_batch(torch.as_tensor(images), (7, 5), values=values)
-    np.testing.assert_allclose(tensors.numpy(), batch, atol=1e-6)
     np.testing.assert_array_equal(as_batch(list(images), values=values), batch)
 
 

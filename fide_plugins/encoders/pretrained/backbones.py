@@ -1,10 +1,10 @@
-"""The convolutional parts of AlexNet, VGG and SqueezeNet, for published weights.
+"""The convolutional parts of AlexNet and VGG, for published weights.
 
 Layers have the order and the names (``features.N.weight``, ``features.N.bias``) of torchvision's
 models, so that its published files fit; torchvision itself is not needed.  The networks:
 Krizhevsky 2014, "One weird trick for parallelizing convolutional neural networks"; Simonyan and
 Zisserman 2014, "Very deep convolutional networks for large-scale image recognition", configurations
-D and E; Iandola et al. 2016, "SqueezeNet", version 1.1.
+D and E.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from fide_plugins.encoders.pretrained import weights
 from fide_plugins.encoders.pretrained.weights import Published
 
-__all__ = ["ALEXNET", "SQUEEZENET", "VGG16", "VGG19", "Architecture", "Backbone", "load"]
+__all__ = ["ALEXNET", "VGG16", "VGG19", "Architecture", "Backbone", "load"]
 
 _URL = "https://download.pytorch.org/models/"
 
@@ -48,21 +48,6 @@ class Backbone(nn.Module):
             if number in wanted:
                 found.append(images)
         return found
-
-
-class Fire(nn.Module):
-    """Fire module of SqueezeNet: squeezes channels, then expands by 1 x 1 and 3 x 3 kernels."""
-
-    def __init__(self, channels: int, squeezed: int, expanded: int) -> None:
-        super().__init__()
-        self.squeeze = nn.Conv2d(channels, squeezed, 1)
-        self.expand1x1 = nn.Conv2d(squeezed, expanded, 1)
-        self.expand3x3 = nn.Conv2d(squeezed, expanded, 3, padding=1)
-
-    def forward(self, x: Tensor) -> Tensor:
-        """(n, channels, h, w) -> (n, 2 expanded, h, w)."""
-        x = torch.relu(self.squeeze(x))
-        return torch.cat([torch.relu(self.expand1x1(x)), torch.relu(self.expand3x3(x))], dim=1)
 
 
 def load(
@@ -108,26 +93,6 @@ def _vgg(*convolutions: int) -> list[nn.Module]:
     return layers
 
 
-def _squeezenet() -> list[nn.Module]:
-    def pool() -> nn.Module:
-        return nn.MaxPool2d(3, 2, ceil_mode=True)
-
-    return [
-        *_convolution(3, 64, 3, stride=2),
-        pool(),
-        Fire(64, 16, 64),
-        Fire(128, 16, 64),
-        pool(),
-        Fire(128, 32, 128),
-        Fire(256, 32, 128),
-        pool(),
-        Fire(256, 48, 192),
-        Fire(384, 48, 192),
-        Fire(384, 64, 256),
-        Fire(512, 64, 256),
-    ]
-
-
 def _convolution(
     channels: int, width: int, side: int, *, stride: int = 1, padding: int = 0
 ) -> list[nn.Module]:
@@ -140,6 +105,5 @@ def _published(network: str, stem: str, sha256: str) -> Published:
 
 
 ALEXNET = Architecture(_published("AlexNet", "alexnet-owt", "7be5be79"), _alexnet)
-SQUEEZENET = Architecture(_published("SqueezeNet 1.1", "squeezenet1_1", "b8a52dc0"), _squeezenet)
 VGG16 = Architecture(_published("VGG-16", "vgg16", "397923af"), partial(_vgg, 2, 2, 3, 3, 3))
 VGG19 = Architecture(_published("VGG-19", "vgg19", "dcbb9e9d"), partial(_vgg, 2, 2, 4, 4, 4))

@@ -2,67 +2,51 @@
 
 Siméoni et al. 2025, "DINOv3"; Oquab et al. 2023, "DINOv2".  The default is the small DINOv3 with
 patches of 16 x 16, the features of the paper.  Tokens are those of the last layer, with the
-network's own normalization; class and register tokens are left out.  The package `transformers`
-computes them.
+network's own normalization; class and register tokens are left out.
 
-The network is a folder with ``config.json`` and ``*.safetensors``, or a repository of the Hugging
-Face hub in the hub's cache on this machine.  Only ``download=True`` downloads anything.  The hub
-requires consent to DINOv3's license, and thus an access token (``hf auth login``).
+The network is a folder in the layout of the Hugging Face hub, with ``config.json`` and
+``*.safetensors``, or a repository in the hub's cache on this machine.  Only ``download=True``
+downloads anything; DINOv3 then needs consent to its license on the hub, and `hf auth login`.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from fide_plugins.encoders.pretrained import dino_files
-from fide_plugins.encoders.pretrained.dino_files import DEFAULT
-from fide_plugins.encoders.pretrained.network import NetworkEncoder
+from fide_plugins.encoders.pretrained.network import IMAGENET_MEAN, IMAGENET_STD, NetworkEncoder
 from fide_plugins.encoders.pretrained.weights import check_finite
-from fide_plugins.errors import OptionError, WeightsMismatchError, WeightsNotFoundError
+from fide_plugins.errors import WeightsMismatchError, WeightsNotFoundError
 from fide_plugins.runtime.devices import digest, has_bfloat16
+from fide_plugins.runtime.machine import missing
 
 __all__ = ["DEFAULT", "DinoEncoder"]
 
+DEFAULT = "facebook/dinov3-vits16-pretrain-lvd1689m"
 KINDS = ("dinov3_vit", "dinov2", "dinov2_with_registers")
+_FILES = ["config.json", "preprocessor_config.json", "*.safetensors", "*.safetensors.index.json"]
 # settings that change the tokens, but not the shapes of the weights
 _SETTINGS = ("hidden_act", "layer_norm_eps", "num_attention_heads", "rope_theta")
-_PRECISIONS = {"float32": torch.float32, "bfloat16": torch.bfloat16, "float16": torch.float16}
 
 
 class DinoEncoder(NetworkEncoder):
-    """Patch tokens of a DINO vision transformer.
+    """Patch tokens of a DINO vision transformer; extra `dinov3`.
 
-    Parameters
-    ----------
-    variant
-        local folder, or repository of the hub.
-    download
-        download the repository into the hub's cache if it is missing there.
-    precision
-        "float32", "bfloat16" or "float16"; None: float32 on a CPU, and on CUDA bfloat16 if the GPU
-        supports it, otherwise float16.  Tokens are always float32.
-    device
-        device of the network.
+    On CUDA it computes in bfloat16 if the GPU has that, else in float32; tokens are float32.
+    Images are normalized as ``preprocessor_config.json`` says, by default as ImageNet.
 
-    Raises
-    ------
-    DependencyError
-        transformers is not installed.
-    WeightsNotFoundError
-        there is no such folder, and the hub's cache does not hold the complete network.
-    WeightsMismatchError
-        the files are truncated, or hold no DINO vision transformer.
+    variant: local folder, or repository of the hub.
+    download: download the repository into the hub's cache if it is missing there.
 
-    Warns
-    -----
-    RuntimeWarning
-        the files do not give the network's training colors; ImageNet's are assumed.
+    Raises DependencyError without transformers, WeightsNotFoundError if there is no such network,
+    and WeightsMismatchError for files that are damaged or hold another network.
     """
 
     name = "dinov3"
@@ -72,13 +56,15 @@ class DinoEncoder(NetworkEncoder):
         *,
         variant: str = DEFAULT,
         download: bool = False,
-        precision: str | None = None,
         device: str | torch.device = "cpu",
     ) -> None:
-        folder = dino_files.find(variant, download)
-        mean, std = dino_files.colors(folder, Path(variant).name)
+        if find_spec("transformers") is None:  # to import it takes seconds
+            raise missing("dinov3", "the encoder 'dinov3' needs transformers")
+        folder = _find(variant, download)
+        mean, std = _colors(folder)
         super().__init__(device=device, mean=mean, std=std)
-        self._dtype = _dtype(precision, self.device)
+        on_gpu = self.device.type == "cuda" and has_bfloat16(self.device)
+        self._dtype = torch.bfloat16 if on_gpu else torch.float32
         network = _load(folder)
         config: Any = network.config
         self.patch, self.channels = config.patch_size, config.hidden_size
@@ -94,14 +80,25 @@ class DinoEncoder(NetworkEncoder):
         return patches
 
 
-def _dtype(precision: str | None, device: torch.device) -> torch.dtype:
-    if precision is None:
-        if device.type != "cuda":
-            return torch.float32
-        return torch.bfloat16 if has_bfloat16(device) else torch.float16
-    if precision not in _PRECISIONS:
-        raise OptionError(f"precision must be one of {', '.join(_PRECISIONS)}, not {precision!r}")
-    return _PRECISIONS[precision]
+def _find(variant: str, download: bool) -> Path:
+    """Folder with the network's files: the user's own, or one in the hub's cache."""
+    folder = Path(variant).expanduser()
+    if variant and folder.is_dir():
+        return folder
+    import huggingface_hub as hub
+
+    try:
+        return Path(
+            hub.snapshot_download(variant, allow_patterns=_FILES, local_files_only=not download)
+        )
+    except Exception as error:  # not there, no such name, no consent: errors of many libraries
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise WeightsNotFoundError(
+            f"no folder {variant!r}, and no network of that name from the hub ({reason}); "
+            f"encoders.make('dinov3', download=True) fetches {DEFAULT} once (86 MB, after consent "
+            "to its license on the hub and `hf auth login`), encoders.make('dinov3:FOLDER') reads "
+            "a folder of yours, and the encoder 'dense' needs no weights"
+        ) from error
 
 
 def _settings(config: Any) -> list[object]:
@@ -110,76 +107,71 @@ def _settings(config: Any) -> list[object]:
     return [float(value) if isinstance(value, int | float) else value for value in values]
 
 
+def _read_json(path: Path) -> dict[str, Any]:
+    try:
+        return dict(json.loads(path.read_text("utf-8")))
+    except (ValueError, TypeError) as error:
+        raise WeightsMismatchError(f"{path} must hold a JSON object ({error})") from error
+
+
+def _colors(folder: Path) -> tuple[list[float], list[float]]:
+    """Mean and standard deviation of colors that the network expects; ImageNet's by default."""
+    path = folder / "preprocessor_config.json"
+    stored = _read_json(path) if path.is_file() else {}
+    given = stored.get("image_mean", IMAGENET_MEAN), stored.get("image_std", IMAGENET_STD)
+    try:
+        mean, std = ([float(value) for value in color] for color in given)
+    except (TypeError, ValueError):
+        mean, std = [], []
+    if len(mean) != 3 or len(std) != 3 or min(std) <= 0:
+        raise WeightsMismatchError(
+            f"{path}: image_mean and image_std must be three numbers each, got {given!r}"
+        )
+    return mean, std
+
+
 def _load(folder: Path) -> nn.Module:
     """The float32 network in the folder, whose files hold exactly its weights."""
-    config_path = folder / "config.json"
-    if not config_path.is_file():
-        raise WeightsNotFoundError(f"no config.json in {folder}, which must hold a network's files")
-    kind = dino_files.read_json(config_path).get("model_type")
+    config = folder / "config.json"
+    if not config.is_file() or not any(folder.glob("*.safetensors")):
+        raise WeightsNotFoundError(
+            f"{folder} must hold config.json and *.safetensors; other weights are not read"
+        )
+    kind = _read_json(config).get("model_type")
     if kind not in KINDS:
         raise WeightsMismatchError(
-            f"{config_path}: a network of the encoder 'dinov3' has the model_type "
-            f"{' or '.join(KINDS)}, not {kind!r}"
+            f"{config}: the model_type must be {' or '.join(KINDS)}, not {kind!r}"
         )
-    absent = dino_files.missing(folder)
-    if absent:
-        raise WeightsNotFoundError(
-            f"no {', '.join(absent)} in {folder}; weights in other files are not read"
-        )
-    transformers = dino_files.library()
+    import transformers
+
     try:
         with _quiet(transformers), torch.random.fork_rng(devices=[]):  # it also draws weights
             network, found = transformers.AutoModel.from_pretrained(
                 folder,
                 local_files_only=True,
                 use_safetensors=True,
-                ignore_mismatched_sizes=True,  # `_check` reports them
+                ignore_mismatched_sizes=True,  # reported below
                 output_loading_info=True,
                 dtype=torch.float32,
             )
     except Exception as error:  # readers of untrusted bytes raise nearly any error
-        what = dino_files.unreadable(folder) or f"the network in {folder}"
         raise WeightsMismatchError(
-            f"{what} cannot be read: it is truncated, damaged or of another kind "
+            f"the network in {folder} cannot be read: it is incomplete, damaged or of another kind "
             f"({(str(error).splitlines() or [''])[0]})"
         ) from error
-    _check(folder, found, network)
+    for problem in ("missing_keys", "unexpected_keys", "mismatched_keys"):
+        if found[problem]:
+            raise WeightsMismatchError(
+                f"{folder} belongs to another network: {problem} {sorted(found[problem])[:3]}"
+            )
+    check_finite(network.state_dict(), folder)
     loaded: nn.Module = network.eval().requires_grad_(False)
     return loaded
 
 
-def _check(folder: Path, found: dict[str, Any], network: nn.Module) -> None:
-    """Refuse weights that are missing, too many, of another shape, or not finite."""
-    files = sorted(folder.glob("*.safetensors"))
-    path = files[0] if len(files) == 1 else folder
-    own = network.state_dict()
-    for key, stored, needed in sorted(found["mismatched_keys"]):
-        raise WeightsMismatchError(
-            f"{path}: {key!r} has the shape {tuple(stored)}, and must have {tuple(needed)}"
-        )
-    for key in sorted(found["missing_keys"]):
-        raise WeightsMismatchError(f"{path} has no {key!r}, of shape {tuple(own[key].shape)}")
-    for key in sorted(found["unexpected_keys"]):
-        raise WeightsMismatchError(
-            f"{path} has {key!r}, of shape {_stored_shape(files, key)}, which this network does "
-            "not have"
-        )
-    check_finite(own, path, own)
-
-
-def _stored_shape(files: list[Path], key: str) -> tuple[int, ...] | None:
-    from safetensors import safe_open
-
-    for path in files:
-        with safe_open(path, "pt") as file:
-            if key in file.keys():  # noqa: SIM118  it is no mapping
-                return tuple(file.get_slice(key).get_shape())
-    return None
-
-
 @contextmanager
 def _quiet(transformers: Any) -> Iterator[None]:
-    """Within this block, transformers prints nothing; `_check` raises our own errors."""
+    """Within this block, transformers prints nothing; `_load` raises our own errors."""
     log = transformers.utils.logging
     verbosity, bar = log.get_verbosity(), log.is_progress_bar_enabled()
     log.set_verbosity_error()

@@ -1,4 +1,4 @@
-"""Base class of encoders with a frozen network: batches of fixed size, cache, normalization."""
+"""Base class of encoders with a frozen network: batches of fixed size, normalization of colors."""
 
 from __future__ import annotations
 
@@ -8,11 +8,9 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from fide_plugins.encoders import whole_patches
 from fide_plugins.encoders.base import PatchEncoder
-from fide_plugins.encoders.cache import TokenCache
+from fide_plugins.encoders.patch import patches, resized
 from fide_plugins.runtime.devices import batch_size, in_batches
-from fide_plugins.types import Float32
 
 __all__ = ["IMAGENET_MEAN", "IMAGENET_STD", "NetworkEncoder"]
 
@@ -25,8 +23,7 @@ class NetworkEncoder(PatchEncoder):
 
     A subclass defines `name`, `version`, `weights_digest`, `patch`, `channels` and `_features`.
 
-    mean, std: mean and standard deviation of the network's training colors, which normalize the
-        images.
+    mean, std: of the network's training colors, which normalize the images.
     """
 
     patch: int
@@ -44,27 +41,19 @@ class NetworkEncoder(PatchEncoder):
         super().__init__(device=device)
         self._mean = torch.tensor(mean, dtype=torch.float32, device=self.device)
         self._std = torch.tensor(std, dtype=torch.float32, device=self.device)
-        self._cache = TokenCache()
 
     def shape(self, height: int, width: int) -> tuple[int, int]:
-        """(T, C), T being the number of whole patches, see `whole_patches`."""
-        rows, columns = self._grid(height, width)
+        """(T, C), T being the number of whole patches, see `patch.patches`."""
+        rows, columns = patches(self.name, self.patch, height, width)
         return rows * columns, self.channels
-
-    def compute(self, batch: Float32) -> Tensor:
-        """Tokens (n, T, C) of a canonical batch, without further checks."""
-        return self._cache.tokens(batch, super().compute)
 
     @torch.inference_mode()
     def _encode(self, images: Tensor) -> Tensor:
-        rows, columns = self._grid(*images.shape[1:3])
-        images = whole_patches.fit(images, rows * self.patch, columns * self.patch)
+        rows, columns = patches(self.name, self.patch, *images.shape[1:3])
+        images = resized(images, rows * self.patch, columns * self.patch)
         normalized = ((images - self._mean) / self._std).permute(0, 3, 1, 2).contiguous()
         size = batch_size(self.device, *normalized.shape[2:])
         return in_batches(self._features, normalized, size).float()
-
-    def _grid(self, height: int, width: int) -> tuple[int, int]:
-        return whole_patches.count(self.name, self.patch, height, width)
 
     @abstractmethod
     def _features(self, images: Tensor) -> Tensor:

@@ -1,15 +1,12 @@
 """The `vgg19` encoder: activations of a layer of VGG-19 (Simonyan and Zisserman 2014).
 
 The network was trained to classify ImageNet.  The encoder reads torchvision's file and ignores its
-classifier.  A token is one position of a layer's feature map after the ReLU.  Layers have the usual
-names, relu<block>_<convolution>.  Each block halves the resolution: patches have 2^(block - 1)
-pixels a side.
+classifier.  A token is one position of a layer's feature map after the ReLU.
 """
 
 from __future__ import annotations
 
 import os
-import re
 
 import torch
 from torch import Tensor
@@ -23,6 +20,12 @@ __all__ = ["VGG19Encoder"]
 
 _CONVOLUTIONS = (2, 2, 4, 4, 4)  # of each block
 _WIDTHS = (64, 128, 256, 512, 512)
+# Name of a layer: its block, and its index; a pooling follows each block.
+_LAYERS = {
+    f"relu{block}_{i + 1}": (block, sum(2 * n + 1 for n in _CONVOLUTIONS[: block - 1]) + 2 * i + 1)
+    for block, count in enumerate(_CONVOLUTIONS, 1)
+    for i in range(count)
+}
 _HOW = (
     "; encoders.make('vgg19', download=True) fetches them once from "
     f"{backbones.VGG19.published.url}, 548 MB, and encoders.make('vgg19', weights=PATH) reads a "
@@ -33,24 +36,12 @@ _HOW = (
 class VGG19Encoder(NetworkEncoder):
     """Activations of one layer of VGG-19.
 
-    Parameters
-    ----------
-    variant
-        the layer; by default the last one with patches of 16 x 16 pixels: 14 x 14 tokens of 512
-        channels for an image of 224 x 224.
-    weights
-        torchvision's file; None: the file in PyTorch's cache.
-    download
-        download that file into the cache if it is missing.
-    device
-        device of the network.
+    variant: the layer, relu<block>_<convolution>, of patches of 2^(block - 1) pixels a side; by
+        default the last one: 14 x 14 tokens of 512 channels for an image of 224 x 224.
+    weights: torchvision's file; None: the file in PyTorch's cache.
+    download: download that file into the cache if it is missing.
 
-    Raises
-    ------
-    OptionError
-        there is no such layer.
-    WeightsNotFoundError, WeightsMismatchError
-        the file is missing, or does not hold this network.
+    Raises OptionError, WeightsNotFoundError or WeightsMismatchError.
     """
 
     name = "vgg19"
@@ -64,7 +55,9 @@ class VGG19Encoder(NetworkEncoder):
         device: str | torch.device = "cpu",
     ) -> None:
         super().__init__(device=device)
-        block, self._layer = _find_layer(variant)
+        if variant not in _LAYERS:
+            raise OptionError(f"a layer of vgg19 is one of {', '.join(_LAYERS)}, not {variant!r}")
+        block, self._layer = _LAYERS[variant]
         self.patch, self.channels = 2 ** (block - 1), _WIDTHS[block - 1]
         network = backbones.load(backbones.VGG19, weights, download=download, how=_HOW)
         self.weights_digest = digest(network)
@@ -74,14 +67,3 @@ class VGG19Encoder(NetworkEncoder):
     def _features(self, images: Tensor) -> Tensor:
         (activations,) = self._network.taps(images, [self._layer])
         return activations.flatten(2).transpose(1, 2)  # (n, T, C)
-
-
-def _find_layer(name: str) -> tuple[int, int]:
-    """Block, from 1, and index of the layer in the whole network."""
-    match = re.fullmatch(r"relu([1-5])_([1-4])", name)
-    block, convolution = map(int, match.groups()) if match else (0, 0)
-    if not 0 < convolution <= (_CONVOLUTIONS[block - 1] if block else 0):
-        known = [f"relu{i}_{j}" for i, n in enumerate(_CONVOLUTIONS, 1) for j in range(1, n + 1)]
-        raise OptionError(f"a layer of vgg19 is one of {', '.join(known)}, not {name!r}")
-    before = sum(2 * n + 1 for n in _CONVOLUTIONS[: block - 1])  # and a pooling after each block
-    return block, before + 2 * convolution - 1

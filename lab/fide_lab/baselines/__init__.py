@@ -19,13 +19,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from fide_lab.baselines.base import Baseline as Baseline
     from fide_lab.baselines.dibo import DiBO as DiBO
-    from fide_lab.baselines.evolution import (
-        BIPOP as BIPOP,
-        CMA as CMA,
-        LQCMA as LQCMA,
-        PGPE as PGPE,
-        Random as Random,
-    )
+    from fide_lab.baselines.evolution import CMA as CMA, Random as Random
     from fide_lab.baselines.image_based import (
         EKI as EKI,
         FIDEAnnealing as FIDEAnnealing,
@@ -37,25 +31,17 @@ if TYPE_CHECKING:
         nevergrad as nevergrad,
         optuna as optuna,
     )
-    from fide_lab.baselines.npe import NPE as NPE
-    from fide_lab.baselines.trust_region import CompositeBO as CompositeBO, TuRBO as TuRBO
     from fide_lab.baselines.zerograds import ZeroGrads as ZeroGrads
 
 PLACES: Mapping[str, str] = {
-    "bipop-cma-es": "fide_lab.baselines.evolution:BIPOP",
     "cma": "fide_lab.baselines.evolution:CMA",
-    "composite-bo": "fide_lab.baselines.trust_region:CompositeBO",
     "dfols": "fide_lab.baselines.libraries:DFOLS",
     "dibo": "fide_lab.baselines.dibo:DiBO",
     "dual-annealing": "fide_lab.baselines.libraries:DualAnnealing",
     "eki": "fide_lab.baselines.image_based:EKI",
     "fide-annealing": "fide_lab.baselines.image_based:FIDEAnnealing",
     "inverse": "fide_lab.baselines.image_based:Inverse",
-    "lq-cma-es": "fide_lab.baselines.evolution:LQCMA",
-    "npe": "fide_lab.baselines.npe:NPE",
-    "pgpe": "fide_lab.baselines.evolution:PGPE",
     "random": "fide_lab.baselines.evolution:Random",
-    "turbo": "fide_lab.baselines.trust_region:TuRBO",
     "zerograds": "fide_lab.baselines.zerograds:ZeroGrads",
 }
 """Where the classes of ours are."""

@@ -12,9 +12,9 @@ counted and can become `best`; they do not move the search.
 
 *Losses that are NaN or infinite* are counted, rank last, and never become `best`.
 
-*Saving.*  `Replayed` is saved as what was asked and told, and loading runs it again: nothing of a
-library's inner state has to be stored.  `Stateful` stores what it knows, where decisions take too
-long to be made again.
+*Saving.*  A baseline is saved as what was asked and told, and loading runs it again: nothing of a
+library's inner state has to be stored.  What takes long is not done again: `Proposals` are saved,
+and the networks that made them (`_network_state`).
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ import sys
 import warnings
 from abc import abstractmethod
 from array import array as numbers
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from functools import cached_property
@@ -31,7 +32,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from fide_plugins import losses as losses_module
-from fide_plugins.errors import ImageError, LossError, OptionError
+from fide_plugins.errors import CheckpointError, ImageError, LossError, OptionError
 from fide_plugins.losses.base import as_losses
 from fide_plugins.population import Candidate, Population
 from fide_plugins.runtime.machine import timed
@@ -75,6 +76,24 @@ def quietly() -> Iterator[None]:
         yield
 
 
+class Proposals:
+    """Points that networks proposed; while a run is replayed, those that they had proposed."""
+
+    def __init__(self) -> None:
+        self.made: list[Float64] = []
+        self.replays = False
+        self.saved: deque[Float64] = deque()
+
+    def __call__(self, n: int, propose: Callable[[], Float64]) -> Float64:
+        """The next n points (n, dim), by `propose` or as they were saved."""
+        X = np.array([self.saved.popleft() for _ in range(n)]) if self.replays else propose()
+        self.made.extend(X)
+        return X
+
+
+_INJECTED = -1
+
+
 class Baseline(Saved):
     """An optimizer over [0, 1]^dim.
 
@@ -95,6 +114,8 @@ class Baseline(Saved):
 
     own_options: ClassVar[tuple[str, ...]] = ()
     """Arguments of a subclass's constructor that are attributes, beside those of its bases."""
+    keeps_features: ClassVar[bool] = True
+    """Whether the history holds the features of images, for the replay."""
     training = False
     """No baseline trains in the background."""
     status = None
@@ -130,6 +151,14 @@ class Baseline(Saved):
         self._best: Solution | None = None
         self._population = Population()
         self._told_features: dict[int, Float32] = {}  # (f,) each, of this generation, by candidate
+        # The history. -(n + 1): n > 0 candidates were asked; i >= 0: candidate i was told; -1: an
+        # injected one.
+        self._events = numbers("q")
+        self._losses = numbers("d")  # told
+        self._injected = numbers("d")  # points told that were not pending
+        self._features: list[Float32] = []  # of the last images told: of all that are needed again
+        self._asked: Float64 = np.empty((0, self.dim))  # last generation
+        self._proposals = Proposals()
 
     # -- ask and tell ------------------------------------------------------------------------------
 
@@ -193,29 +222,33 @@ class Baseline(Saved):
     def _update(self, X: Float64, losses: Float64, features: Float32 | None) -> None:
         """Learn from a generation, (popsize, dim) and (popsize,); losses are finite or +inf.
 
-        features: (popsize, f), what `_encode` made of its images.
+        features: (popsize, f), what `_encode` made of its images; None in a replay if `_update`
+            had them forgotten.
         """
 
     def _encode(self, batch: Float32 | None) -> Float32 | None:
         """Features (n, f) of images (n, H, W, 3) that `_update` needs; None: it needs none."""
         return None
 
+    def _forget_features(self) -> None:
+        """The features of all that was told are not needed again, nor in a replay."""
+        self._features.clear()
+
     def _own_settings(self) -> dict[str, Any]:
         """Arguments of the subclasses' constructors, by name."""
         names = [name for kind in type(self).__mro__ for name in vars(kind).get("own_options", ())]
         return {name: getattr(self, name) for name in names}
 
-    @abstractmethod
-    def _search_state(self) -> dict[str, Any]:
-        """What the search knows, see `Saved.state_dict`."""
+    def _network_state(self) -> Any:
+        """What a replay does not bring about: that of networks, and of what draws for them."""
+        return None
 
-    @abstractmethod
-    def _load_search_state(self, state: dict[str, Any]) -> None:
-        """Put back what `_search_state` gave; ValueError if it is impossible."""
+    def _load_network_state(self, state: Any) -> None:
+        """Put back what `_network_state` gave; ValueError if it is impossible."""
 
     def _sides(self) -> Sides:
         """Sides of the arrays in a saved state."""
-        sides = {"d": self.dim, "k": self.popsize}
+        sides = {"d": self.dim}
         if self.target is not None:
             sides["H"], sides["W"], _ = self.target.shape
         return sides
@@ -240,35 +273,38 @@ class Baseline(Saved):
         handed_out: list[Candidate] = []
         while len(handed_out) < n:
             if not population.remaining:
-                X = self._sample()
-                population.draw(X, X)
+                self._asked = self._sample()
+                population.draw(self._asked, self._asked)
             handed_out.append(population.hand_out())
+        self._events.append(-(n + 1))
         return handed_out
 
     def _record(
         self, x: Float64, loss: float, image: Float32 | None, features: Float32 | None
-    ) -> int | None:
-        """Enter one result; finish the generation if that completes it.
-
-        Returns the candidate's index, None if it is injected.
-        """
+    ) -> None:
+        """Enter one result; finish the generation if that completes it."""
         finite = bool(np.isfinite(loss))
         candidate = self._population.record(x, loss if finite else np.inf)
-        index = None if candidate is None else candidate.index
-        if index is not None and features is not None:
-            self._told_features[index] = features
+        self._events.append(_INJECTED if candidate is None else candidate.index)
+        self._losses.append(loss)
+        if candidate is None:
+            self._injected.extend(x.tolist())
+        elif features is not None:
+            self._told_features[candidate.index] = features
+        if features is not None and self.keeps_features:
+            self._features.append(features)
         if finite and (self._best is None or loss < self._best.loss):
             image = None if image is None else image.copy()
             self._best = Solution(x.copy(), loss, self.evaluations, image)
         self.evaluations += 1
         if self._population.complete:
             self._finish_generation()
-        return index
 
     def _finish_generation(self) -> None:
         members, losses = self._population.close_generation()
         told, self._told_features = self._told_features, {}
-        features = np.array([told[member.index] for member in members]) if told else None
+        known = all(member.index in told for member in members)
+        features = np.array([told[member.index] for member in members]) if known else None
         self._update(np.array([member.x for member in members]), losses, features)
 
     # -- saving: see `saving.Saved` ---------------------------------------------------------------
@@ -285,22 +321,59 @@ class Baseline(Saved):
 
     @one_at_a_time
     def state_dict(self) -> dict[str, Any]:
-        """The best point, the counts, and what the search knows."""
+        """The best point, the counts, the history, and what networks know."""
         names, best = ("x", "loss", "evaluation", "image"), self._best
         return {
             "evaluations": self.evaluations,
             "best": None if best is None else {name: getattr(best, name) for name in names},
             "times": dict(self.times),
-            "search": self._search_state(),
+            "events": np.array(self._events, np.int64),
+            "losses": np.array(self._losses, np.float64),
+            "injected": np.array(self._injected, np.float64).reshape(-1, self.dim),
+            "features": np.array(self._features, np.float32) if self._features else None,
+            "asked": self._asked,
+            "proposals": np.array(self._proposals.made).reshape(-1, self.dim),
+            "network": self._network_state(),
         }
 
     @one_at_a_time
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on where `state_dict` was called; ValueError if `state` is impossible."""
+        """Go on where `state_dict` was called; ValueError if `state` is impossible.
+
+        Raises CheckpointError (a ValueError) if the replay asks for other candidates.
+        """
         check(state, _SCHEMA, self._sides())
-        self._load_search_state(state["search"])
+        self._replay(state)
+        if not np.array_equal(self._asked, state["asked"]):
+            raise CheckpointError(
+                f"{self.name} asks for other candidates when it is run again; draw random numbers "
+                "from its seed, or run it again from the beginning, in another directory"
+            )
+        self._load_network_state(state["network"])
         self.evaluations, self.times = state["evaluations"], dict(state["times"])
         self._best = None if state["best"] is None else Solution(**state["best"])
+
+    def _replay(self, state: Mapping[str, Any]) -> None:
+        """Ask and tell what the saved baseline was asked and told."""
+        events: list[int] = state["events"].tolist()
+        told, injected = sum(event >= _INJECTED for event in events), events.count(_INJECTED)
+        kept = [] if state["features"] is None else list(state["features"])
+        if (told, injected) != (len(state["losses"]), len(state["injected"])) or len(kept) > told:
+            raise ValueError(
+                f"a history of {told} results, {injected} of them injected, lacks some"
+            )
+        features = iter([None] * (told - len(kept)) + kept)
+        points, losses = iter(state["injected"]), iter(state["losses"].tolist())
+        pending: dict[int, Float64] = {}
+        self._proposals.saved.extend(state["proposals"])
+        self._proposals.replays = True
+        for event in events:
+            if event < _INJECTED:
+                pending |= {c.index: c.x for c in self._hand_out(-event - 1)}
+            else:
+                x = next(points) if event == _INJECTED else pending.pop(event)
+                self._record(x, next(losses), None, next(features))
+        self._proposals.replays = False
 
 
 _SCHEMA: Schema = {
@@ -314,133 +387,13 @@ _SCHEMA: Schema = {
         }
     ),
     "times": {"encode": real(), "train": real(), "search": real()},
-    "search": anything,  # the subclass checks its own
-}
-
-
-# -- saving by replay ------------------------------------------------------------------------------
-
-
-_INJECTED = -1
-
-
-class Replayed(Baseline):
-    """A baseline that is saved as the history of its run."""
-
-    keeps_features: ClassVar[bool] = True
-    """Whether the history holds the features of images, for the replay."""
-
-    def __init__(self, dim: int, target: object = None, **options: Any) -> None:
-        super().__init__(dim, target, **options)
-        # -(n + 1): n > 0 candidates were asked; i >= 0: candidate i was told; -1: an injected one.
-        self._events = numbers("q")
-        self._losses = numbers("d")  # told
-        self._injected = numbers("d")  # points told that were not pending
-        self._history: list[Float32] = []  # features told
-
-    def _hand_out(self, n: int | None) -> list[Candidate]:
-        handed_out = super()._hand_out(n)
-        self._events.append(-(len(handed_out) + 1))
-        return handed_out
-
-    def _record(
-        self, x: Float64, loss: float, image: Float32 | None, features: Float32 | None
-    ) -> int | None:
-        index = super()._record(x, loss, image, features)
-        self._events.append(_INJECTED if index is None else index)
-        self._losses.append(loss)
-        if index is None:
-            self._injected.extend(x.tolist())
-        if features is not None and self.keeps_features:
-            self._history.append(features)
-        return index
-
-    def _search_state(self) -> dict[str, Any]:
-        return {
-            "events": np.array(self._events, np.int64),
-            "losses": np.array(self._losses, np.float64),
-            "injected": np.array(self._injected, np.float64).reshape(-1, self.dim),
-            "features": np.array(self._history, np.float32) if self._history else None,
-        }
-
-    def _keep_history(self, state: dict[str, Any]) -> None:
-        """Take over a history without asking and telling it again."""
-        self._events = numbers("q", _checked_events(state, self._sides()))
-        self._losses = numbers("d", state["losses"].tolist())
-        self._injected = numbers("d", state["injected"].ravel().tolist())
-
-    def _load_search_state(self, state: dict[str, Any]) -> None:
-        """Ask and tell what the saved baseline was asked and told."""
-        events = _checked_events(state, self._sides())
-        pending: dict[int, Float64] = {}
-        injected, losses = iter(state["injected"]), iter(state["losses"].tolist())
-        features = iter(() if state["features"] is None else state["features"])
-        for event in events:
-            if event < _INJECTED:
-                pending |= {c.index: c.x for c in self._hand_out(-event - 1)}
-            else:
-                x = next(injected) if event == _INJECTED else pending.pop(event)
-                self._record(x, next(losses), None, next(features, None))
-
-
-def _checked_events(state: dict[str, Any], sides: dict[str, int]) -> list[int]:
-    """The events of a history; ValueError unless losses, points and features fit them."""
-    check(state, _HISTORY, sides, "history")
-    events: list[int] = state["events"].tolist()
-    told, injected = sum(event >= _INJECTED for event in events), events.count(_INJECTED)
-    if (told, injected) != (len(state["losses"]), len(state["injected"])):
-        raise ValueError(f"a history of {told} results, {injected} of them injected, lacks some")
-    return events
-
-
-_HISTORY: Schema = {
     "events": array("e", kind="i", low=None),
     "losses": array("t", low=None),
     "injected": array("n", "d", low=0.0, high=1.0),
-    "features": maybe(array("t", "f")),
-}
-
-
-# -- saving by state -------------------------------------------------------------------------------
-
-
-class Stateful(Baseline):
-    """A baseline that is saved as what it knows; subclasses say what that is."""
-
-    own_schema: ClassVar[dict[str, Schema]]
-    """What `_own_state` looks like; sides: d, k = popsize, f = features of an image."""
-    _rng: np.random.Generator
-
-    def _own_state(self) -> dict[str, Any]:
-        """Everything that `_sample` and `_update` change; "rng" is the generator `_rng`."""
-        return {"rng": self._rng.bit_generator.state}
-
-    def _load_own_state(self, state: dict[str, Any]) -> None:
-        """Put back what `_own_state` gave; tensors have become arrays."""
-        self._rng.bit_generator.state = state["rng"]
-
-    def _search_state(self) -> dict[str, Any]:
-        told = self._told_features
-        return {
-            "own": self._own_state(),
-            "population": self._population.state_dict(),
-            "features_of": np.array(list(told), np.int64),
-            "features": np.array(list(told.values()), np.float32) if told else None,
-        }
-
-    def _load_search_state(self, state: dict[str, Any]) -> None:
-        sides = self._sides()
-        check(state, {**_STATE, "own": self.own_schema}, sides)
-        self._load_own_state(state["own"])
-        self._population = Population.from_state(state["population"], self.dim)
-        rows = () if state["features"] is None else state["features"]
-        self._told_features = dict(zip(state["features_of"].tolist(), rows, strict=True))
-
-
-_STATE: dict[str, Schema] = {
-    "population": anything,  # checks its own
-    "features_of": array("told", kind="i"),
-    "features": maybe(array("told", "f")),
+    "features": maybe(array("m", "f")),
+    "asked": array("k", "d", low=0.0, high=1.0),
+    "proposals": array("p", "d", low=0.0, high=1.0),
+    "network": anything,  # the subclass checks its own
 }
 
 
@@ -471,18 +424,19 @@ class ImageBased(Baseline):
         **options: Any,
     ) -> None:
         super().__init__(dim, target, **options)
-        image = needed_target(self.name, self.target)  # (H, W, 3)
+        if self.target is None:
+            raise ImageError(f"{self.name} learns from images and needs a target; got none")
         from fide_plugins import encoders  # PyTorch takes a second
         from fide_plugins.runtime.devices import resolve_device
 
         self.encoder = encoder
         where = resolve_device(self.device, for_network=encoders.uses_network(encoder))
         self._encoder = encoders.make(encoder, device=where)
-        self._tokens, most = self._encoder.shape(*image.shape[:2])
+        self._tokens, most = self._encoder.shape(*self.target.shape[:2])
         if channels is not None and whole_number("channels", channels, 1) > most:
             raise OptionError(f"channels must be at most {most} for {encoder}, not {channels}")
         self.channels = channels
-        self.target_features: Float32 = self._encode(image[None])[0]
+        self.target_features: Float32 = self._encode(self.target[None])[0]
         """Features (f,) of the target."""
 
     @property
@@ -520,20 +474,11 @@ class ImageBased(Baseline):
         Raises CheckpointError (a ValueError) if the features are of another encoder, or of other
         weights.
         """
-        if isinstance(state, Mapping) and "encoder" in state:  # one that is older has none
-            self._encoder.check_version(state["encoder"])
-            state = {name: value for name, value in state.items() if name != "encoder"}
-        super().load_state_dict(state)
+        self._encoder.check_version(state["encoder"])
+        super().load_state_dict({k: value for k, value in state.items() if k != "encoder"})
 
     def _sides(self) -> Sides:
         return super()._sides() | {"f": len(self.target_features)}
-
-
-def needed_target(name: str, target: Float32 | None) -> Float32:
-    """The target (H, W, 3) of the baseline `name`; ImageError (a ValueError) if it has none."""
-    if target is None:
-        raise ImageError(f"{name} learns from images and needs a target; got none")
-    return target
 
 
 def needed_images(name: str, batch: Float32 | None) -> Float32:

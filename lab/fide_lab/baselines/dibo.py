@@ -18,14 +18,12 @@ Where this deviates from the authors' program
 ---------------------------------------------
 - Adam climbs the score itself, not its exponential, and without the divergence part of
   log p_prior, whose gradient the program drops as well; the final ranking has it.
-- With schedule="paper" the variances of the noise are 30 numbers from 1e-4 to 0.02, as the paper
-  says.  By default they are the program's: 31 from 7.6e-4 to 0.0207, of which it trains and samples
-  with all but the cleanest, so that candidates keep more noise.
-- With likelihood="exact" log p_prior is that of the model which is sampled (`Diffusion`), but
-  for the noise that schedule="authors" leaves in its points; with alpha = 1e-4 it weighs next to
-  nothing in the score.  By default it is the program's own number, see `program_likelihood`: its
-  ODE goes the other way round and ends in N(0, 0.0276^2), so that it is no likelihood, but a strong
-  pull to the mean of the buffer.
+- The variances of the noise are the program's: 31 from 7.6e-4 to 0.0207, of which it trains and
+  samples with all but the cleanest, so that candidates keep more noise than the paper's 30 numbers
+  from 1e-4 to 0.02 would leave.
+- log p_prior is the program's own number, see `program_likelihood`: its ODE goes the other way
+  round and ends in N(0, 0.0276^2), so that it is no likelihood, but a strong pull to the mean of
+  the buffer.  (With the exact one, alpha = 1e-4 weighs next to nothing in the score.)
 - The first points are the center of the box and uniform ones, like those of the others here.
 """
 
@@ -36,7 +34,6 @@ from collections.abc import Callable, Iterator
 from copy import deepcopy
 from dataclasses import asdict, dataclass, field, fields
 from functools import cached_property, partial
-from itertools import pairwise
 from math import log, pi
 from typing import Any, ClassVar
 
@@ -45,9 +42,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from fide_lab.baselines.base import Stateful
+from fide_lab.baselines.base import Baseline
 from fide_lab.baselines.zerograds import make
-from fide_plugins.runtime.schema import GENERATOR, Schema, array, maybe
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.options import Rule, one_of, positive, whole
@@ -116,12 +112,6 @@ Predict = Callable[[Tensor, Tensor], Tensor]
 
 FIRST, LAST = 0.02, 1e-4  # variance of the noise of the noisiest and the cleanest step
 MOST_SNR = 5.0  # Min-SNR weights (Hang et al. 2023)
-ODE_STEPS = 4
-
-
-def paper_betas(steps: int) -> Tensor:
-    """Variances (T,) as the paper says: from 0.02 to 1e-4, the noisiest first."""
-    return torch.linspace(FIRST, LAST, steps, dtype=torch.float64)
 
 
 def program_betas(steps: int) -> Tensor:
@@ -131,35 +121,26 @@ def program_betas(steps: int) -> Tensor:
 
 
 class Diffusion:
-    """The process of the first `steps` of some variances, without its network.
+    """The process of the first `steps` of the program's variances, without its network.
 
     i = 0 ... T-1   step of denoising, the noisiest first; time t = i / T
-    beta            variance of the noise of a step, linear in i (`program_betas` or `paper_betas`)
+    beta            variance of the noise of a step, linear in i (`program_betas`)
     abar            product of (1 - beta) over this step and all cleaner ones
-    sigma           sqrt((1 - abar) / abar), the noise in the coordinates x / sqrt(abar)
     predict(x, t)   the noise epsilon in x, (n, d)
 
     A denoising step is x' ~ N(mean, beta) with
     mean = (x - beta / sqrt(1 - abar) epsilon) / sqrt(1 - beta);
     a noising step, its reverse, x ~ N(sqrt(1 - beta) x', beta).
 
-    betas: (T,) or longer, the noisiest first.  The steps after the first T are noise that every
-    point has and that no step takes away, as in the program; none by default (`paper_betas`).
+    The step after the first T is noise that every point has and that no step takes away.
     """
 
-    def __init__(
-        self,
-        steps: int,
-        dtype: torch.dtype,
-        device: torch.device | str = "cpu",
-        betas: Tensor | None = None,
-    ) -> None:
+    def __init__(self, steps: int, dtype: torch.dtype) -> None:
         self.steps = steps
-        every = (paper_betas(steps) if betas is None else betas).to(device, dtype)
+        every = program_betas(steps).to(dtype)
         self.beta = every[:steps]
         self.abar = (1 - every).flip(0).cumprod(0).flip(0)[:steps]
-        self.sigma = ((1 - self.abar) / self.abar).sqrt()
-        self._time = torch.arange(steps, device=device).to(dtype) / steps
+        self._time = torch.arange(steps).to(dtype) / steps
 
     def loss(self, predict: Predict, x: Tensor, generator: torch.Generator) -> Tensor:
         """Squared error of the predicted noise at random steps, weighted by min(5 / SNR, 1)."""
@@ -210,60 +191,10 @@ class Diffusion:
         ratio: Tensor = (gain.sum(dim=1) / (2 * self.beta[i])).view(self.steps, n).sum(dim=0)
         return ratio
 
-    def log_likelihood(
-        self, predict: Predict, x: Tensor, generator: torch.Generator | None = None
-    ) -> Tensor:
-        """Log-likelihood log p(x), (n,), by the probability-flow ODE, RK4 with 4 steps.
-
-        In the coordinates y = x / sqrt(abar) the ODE is dy/dsigma = epsilon, and log p gains its
-        divergence, estimated with one random sign for each coordinate (Hutchinson); without a
-        generator that part, a constant for a fixed law of the signs, is left out.  Gradients flow
-        through y only.
-        """
-        signs = random_signs(x, generator)
-        y, gained = x, x.new_zeros(len(x))
-        low, high = float(self.sigma[-1]), float(self.sigma[0])
-        grid = [low + (high - low) * k / ODE_STEPS for k in range(ODE_STEPS + 1)]
-        for here, there in pairwise(grid):
-            y, gained = self._runge_kutta(predict, y, gained, here, there, signs)
-        variance = 1 + high**2  # of y there, for x is standard normal
-        log_normal = -0.5 * (y.square() / variance + log(2 * pi * variance)).sum(dim=1)
-        return log_normal + gained
-
-    def _runge_kutta(
-        self, predict: Predict, y: Tensor, gained: Tensor, a: float, b: float, signs: Tensor | None
-    ) -> tuple[Tensor, Tensor]:
-        h = b - a
-        k1, g1 = self._flow(predict, y, a, signs)
-        k2, g2 = self._flow(predict, y + h / 2 * k1, a + h / 2, signs)
-        k3, g3 = self._flow(predict, y + h / 2 * k2, a + h / 2, signs)
-        k4, g4 = self._flow(predict, y + h * k3, b, signs)
-        step = h / 6
-        return y + step * (k1 + 2 * k2 + 2 * k3 + k4), gained + step * (g1 + 2 * g2 + 2 * g3 + g4)
-
-    def _flow(
-        self, predict: Predict, y: Tensor, sigma: float, signs: Tensor | None
-    ) -> tuple[Tensor, Tensor]:
-        """Velocity (n, d) and estimated divergence (n,) at noise sigma."""
-        shrink = (1 + sigma**2) ** -0.5  # x = y sqrt(abar)
-        t = self._time_of(sigma).expand(len(y))
-        velocity, divergence = noise_and_divergence(predict, y * shrink, t, signs)
-        return velocity, shrink * divergence
-
-    def _time_of(self, sigma: float) -> Tensor:
-        """Time at which the noise is sigma, linear in its logarithm between the steps."""
-        return (self.steps - 1 - place_between(self.sigma.flip(0), sigma)) / self.steps
-
 
 def draw_normal(like: Tensor, generator: torch.Generator) -> Tensor:
     """Standard normal numbers of the shape of `like`."""
     return torch.randn(like.shape, generator=generator, dtype=like.dtype, device=like.device)
-
-
-def program_sigmas(steps: int) -> Tensor:
-    """Noise in the coordinates y of the program's steps + 1 steps, rising, (steps + 1,)."""
-    abar = (1 - program_betas(steps).flip(0)).cumprod(0)
-    return ((1 - abar) / abar).sqrt()
 
 
 def program_likelihood(
@@ -271,18 +202,20 @@ def program_likelihood(
 ) -> Tensor:
     """What the authors' program calls log p(x), (n,), of a model with so many steps.
 
-    It means to integrate the probability-flow ODE from a point to noise, as
-    `Diffusion.log_likelihood` does.  It starts at the noisy end instead, at sigma = 0.63 for 30
-    steps, and ends at the clean one, 0.028, where it takes the density of N(0, 0.028^2).  Its times
-    run backwards as well.  One step of the 3/8 rule makes the whole way, and the divergence is that
-    of x, without the factor of y.  What remains is a strong pull to the mean of the buffer: at 2
-    standard deviations in each of 20 parameters, alpha log p is about -5, where the exact one has
-    -0.005 and the reward a range of some units.  The searches of the authors were made with it.
+    It means to integrate the probability-flow ODE from a point to noise, in the coordinates
+    y = x / sqrt(abar), where it is dy/dsigma = epsilon, sigma = sqrt((1 - abar) / abar).  It starts
+    at the noisy end instead, at sigma = 0.63 for 30 steps, and ends at the clean one, 0.028, where
+    it takes the density of N(0, 0.028^2).  Its times run backwards as well.  One step of the 3/8
+    rule makes the whole way, and the divergence is that of x, without the factor of y.  What
+    remains is a strong pull to the mean of the buffer: at 2 standard deviations in each of 20
+    parameters, alpha log p is about -5, where the exact one has -0.005 and the reward a range of
+    some units.  The searches of the authors were made with it.
 
     Without a generator the divergence is left out; the program takes no gradient of it.
     """
     signs = random_signs(x, generator)
-    sigmas = program_sigmas(steps)
+    abar = (1 - program_betas(steps).flip(0)).cumprod(0)
+    sigmas = ((1 - abar) / abar).sqrt()  # rising, (steps + 1,)
     clean, noisy = float(sigmas[0]), float(sigmas[-1])
 
     def flow(sigma: float, y: Tensor) -> tuple[Tensor, Tensor]:
@@ -355,8 +288,6 @@ class RoundOptions:
     width: int = _option(whole(1))
     proxy_width: int = _option(whole(1))
     batch: int = _option(whole(1))
-    likelihood: str = _option(one_of("authors", "exact"))
-    schedule: str = _option(one_of("authors", "paper"))
 
     @classmethod
     def checked(cls, **given: Any) -> RoundOptions:
@@ -372,9 +303,7 @@ class Round:
         self, options: RoundOptions, x: Tensor, y: Tensor, generator: torch.Generator
     ) -> None:
         self.options, self.x, self.y, self.generator = options, x, y, generator
-        betas = program_betas if options.schedule == "authors" else paper_betas
-        steps = options.diffusion_steps
-        self.diffusion = Diffusion(steps, x.dtype, x.device, betas(steps))
+        self.diffusion = Diffusion(options.diffusion_steps, x.dtype)
 
     @cached_property
     def proxy(self) -> Ensemble:
@@ -441,10 +370,7 @@ class Round:
 
     def _score(self, x: Tensor, generator: torch.Generator | None = None) -> Tensor:
         """Reward + alpha log p_prior, (n,); the latter's divergence only with a generator."""
-        if self.options.likelihood == "authors":
-            likelihood = program_likelihood(self.prior, x, self.options.diffusion_steps, generator)
-        else:
-            likelihood = self.diffusion.log_likelihood(self.prior, x, generator)
+        likelihood = program_likelihood(self.prior, x, self.options.diffusion_steps, generator)
         score: Tensor = self.proxy(x) + self.options.alpha * likelihood
         return score
 
@@ -489,7 +415,7 @@ def _step(optimizer: torch.optim.Optimizer, loss: Tensor) -> None:
     optimizer.step()
 
 
-class DiBO(Stateful):
+class DiBO(Baseline):
     """Diffusion-based Bayesian optimization.  It is slow: minutes a round on a CPU.
 
     popsize: points a round, 50.
@@ -502,8 +428,6 @@ class DiBO(Stateful):
     width, proxy_width: of the diffusion networks and of the ensemble's.
     batch: examples, or chains, a training step.
     precision: "double" or "single".
-    likelihood: "authors", that of their program, or "exact", that of the model; see above.
-    schedule: variances of the noise: "authors", those of their program, or "paper"; see above.
 
     The other options are those of `Baseline`; `sigma0` is not used.  The defaults are those of
     the FIDE paper, which took them from the authors' for problems of like size.
@@ -513,13 +437,6 @@ class DiBO(Stateful):
 
     name: ClassVar[str] = "dibo"
     own_options = ("initial", "buffer", "precision")
-    own_schema: ClassVar[dict[str, Schema]] = {
-        "X": array("b", "d", low=0.0, high=1.0),
-        "losses": array("b"),
-        "waiting": maybe(array("k", "d", low=0.0, high=1.0)),
-        "generator": array("g", kind="u"),
-        "rng": GENERATOR,
-    }
 
     def __init__(
         self,
@@ -540,8 +457,6 @@ class DiBO(Stateful):
         proxy_width: int = 256,
         batch: int = 256,
         precision: str = "double",
-        likelihood: str = "authors",
-        schedule: str = "authors",
         **options: Any,
     ) -> None:
         super().__init__(dim, target, **options)
@@ -552,31 +467,31 @@ class DiBO(Stateful):
             proxy_epochs=proxy_epochs, prior_epochs=prior_epochs,
             posterior_epochs=posterior_epochs, search_epochs=search_epochs, proposals=proposals,
             diffusion_steps=diffusion_steps, alpha=alpha, gamma=gamma, width=width,
-            proxy_width=proxy_width, batch=batch, likelihood=likelihood, schedule=schedule,
+            proxy_width=proxy_width, batch=batch,
         )  # fmt: skip
         self._rng = np.random.default_rng(self.seed)
         self._generator = torch.Generator().manual_seed(int(self._rng.integers(2**63)))
-        self._X: Float64 = np.empty((0, self.dim))  # the buffer
-        self._losses: Float64 = np.empty(0)
+        self._points: Float64 = np.empty((0, self.dim))  # the buffer
+        self._values: Float64 = np.empty(0)
         self._waiting: Float64 | None = None  # candidates of this round
 
     def _sample(self) -> Float64:
-        if len(self._losses) < min(self.initial, self.buffer):
+        if len(self._values) < min(self.initial, self.buffer):
             X = self._rng.random((self.popsize, self.dim))
             if self._population.drawn == 0:
                 X[0] = 0.5
             return X
         if self._waiting is None:
             with self._timed("train"):
-                self._waiting = self._propose()
+                self._waiting = self._proposals(self.popsize, self._propose)
         return self._waiting
 
     def _update(self, X: Float64, losses: Float64, features: Float32 | None) -> None:
         finite = np.isfinite(losses)
-        self._X = np.concatenate([self._X, X[finite]])
-        self._losses = np.concatenate([self._losses, losses[finite]])
-        best = np.argsort(self._losses, kind="stable")[: self.buffer]
-        self._X, self._losses = self._X[best], self._losses[best]
+        self._points = np.concatenate([self._points, X[finite]])
+        self._values = np.concatenate([self._values, losses[finite]])
+        best = np.argsort(self._values, kind="stable")[: self.buffer]
+        self._points, self._values = self._points[best], self._values[best]
         if self._waiting is not None:  # if more was asked, they are the same candidates
             self._population.forget_pending()
         self._waiting = None
@@ -585,7 +500,10 @@ class DiBO(Stateful):
     def _propose(self) -> Float64:
         """One round: candidates (popsize, d) from the buffer."""
         dtype = torch.float64 if self.precision == "double" else torch.float32
-        x, y = torch.as_tensor(self._X, dtype=dtype), torch.as_tensor(-self._losses, dtype=dtype)
+        x, y = (
+            torch.as_tensor(self._points, dtype=dtype),
+            torch.as_tensor(-self._values, dtype=dtype),
+        )
         mean, std = x.mean(dim=0), x.std(dim=0) + 1e-7
         x, y = (x - mean) / std, (y - y.mean()) / (y.std() + 1e-7)
         proposed: Tensor = Round(self.round_options, x, y, self._generator).candidates(self.popsize)
@@ -598,16 +516,8 @@ class DiBO(Stateful):
     def _own_settings(self) -> dict[str, Any]:
         return {**super()._own_settings(), **asdict(self.round_options)}
 
-    def _own_state(self) -> dict[str, Any]:
-        return {
-            "X": self._X,
-            "losses": self._losses,
-            "waiting": self._waiting,
-            "generator": self._generator.get_state(),
-            **super()._own_state(),
-        }
+    def _network_state(self) -> Any:
+        return self._generator.get_state()
 
-    def _load_own_state(self, state: dict[str, Any]) -> None:
-        self._X, self._losses, self._waiting = state["X"], state["losses"], state["waiting"]
-        self._generator.set_state(torch.as_tensor(state["generator"], dtype=torch.uint8))
-        super()._load_own_state(state)
+    def _load_network_state(self, state: Any) -> None:
+        self._generator.set_state(torch.as_tensor(state, dtype=torch.uint8))

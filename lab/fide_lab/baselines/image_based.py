@@ -7,7 +7,6 @@ once on uniform points; its samples (`PosteriorSampler`) cover all modes of the 
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
 from functools import partial
 from typing import Any, ClassVar
@@ -16,25 +15,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fide_lab.baselines.base import ImageBased, Stateful
+from fide_lab.baselines.base import ImageBased, Proposals
 from fide_lab.baselines.libraries import Search, Sequential, anneal, descent
 from fide_plugins.denoiser import Denoise, Network
 from fide_plugins.denoiser.sampling import whitened
 from fide_plugins.denoiser.training import WhitenedLoss
 from fide_plugins.errors import OptionError
 from fide_plugins.proposers.diffusion import DiffusionProposer
-from fide_plugins.runtime.schema import (
-    GENERATOR,
-    Schema,
-    anything,
-    array,
-    check,
-    flag,
-    maybe,
-    real,
-    row,
-    whole,
-)
+from fide_plugins.runtime.schema import GENERATOR, Schema, anything, array, check, maybe, row
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.options import positive, positive_fraction
 from fide_plugins.validation.points import whole_number
@@ -160,7 +148,7 @@ def _whiten_box(network: Network) -> Denoise:
     return whitened(network, 0.5, BOX_STD)
 
 
-class Inverse(ImageBased, Stateful):
+class Inverse(ImageBased):
     """Samples of the posterior; options of `ImageBased` and `Baseline`; `sigma0` is not used.
 
     popsize: points that are drawn at a time, 100.
@@ -176,13 +164,6 @@ class Inverse(ImageBased, Stateful):
 
     name: ClassVar[str] = "inverse"
     own_options = ("budget", "share", "epochs", "batch_size", "width", "blocks")
-    own_schema: ClassVar[dict[str, Schema]] = {
-        "trained": flag,
-        "x": array("n", "d", low=0.0, high=1.0),
-        "features": array("n", "f"),
-        "posterior": anything,  # checks its own
-        "rng": GENERATOR,
-    }
 
     def __init__(
         self,
@@ -208,7 +189,7 @@ class Inverse(ImageBased, Stateful):
         )
         self._trained = False
         self._x: list[Float64] = []  # uniform points so far
-        self._features: list[Float32] = []  # of their images
+        self._tokens_seen: list[Float32] = []  # features of their images
 
     @property
     def training_points(self) -> int:
@@ -217,46 +198,41 @@ class Inverse(ImageBased, Stateful):
 
     def _sample(self) -> Float64:
         if self._trained:
-            return self._posterior.sample(self.popsize, self.target_tokens)
+            return self._proposals(self.popsize, self._proposed)
         return self._rng.random((self.popsize, self.dim))  # ~ U(0, 1)
 
+    def _proposed(self) -> Float64:
+        return self._posterior.sample(self.popsize, self.target_tokens)
+
     def _update(self, X: Float64, losses: Float64, features: Float32 | None) -> None:
-        assert features is not None
-        if self._trained:
-            return
-        self._x.extend(X)
-        self._features.extend(features)
-        if len(self._x) >= self.training_points:
-            with self._timed("train"):
-                tokens = self.tokens_of(np.array(self._features))
-                self._posterior.fit(np.array(self._x), tokens, self.epochs)
-            self._trained, self._x, self._features = True, [], []
+        if not self._trained:
+            self._x.extend(X)
+            self._tokens_seen.extend([] if features is None else features)
+            if len(self._x) < self.training_points:
+                return
+            if not self._proposals.replays:
+                with self._timed("train"):
+                    tokens = self.tokens_of(np.array(self._tokens_seen))
+                    self._posterior.fit(np.array(self._x), tokens, self.epochs)
+            self._trained, self._x, self._tokens_seen = True, [], []
             self._population.forget_pending()
+        self._forget_features()
 
     def _default_popsize(self) -> int:
         return 100
 
-    def _own_state(self) -> dict[str, Any]:
-        return {
-            "trained": self._trained,
-            "x": np.array(self._x).reshape(-1, self.dim),
-            "features": np.array(self._features, np.float32).reshape(-1, self._sides()["f"]),
-            "posterior": self._posterior.state_dict(),
-            **super()._own_state(),
-        }
+    def _network_state(self) -> Any:
+        return self._posterior.state_dict()
 
-    def _load_own_state(self, state: dict[str, Any]) -> None:
-        self._trained = state["trained"]
-        self._x, self._features = list(state["x"]), list(state["features"])
-        self._posterior.load_state_dict(state["posterior"])
-        super()._load_own_state(state)
+    def _load_network_state(self, state: Any) -> None:
+        self._posterior.load_state_dict(state)
 
 
 COLLAPSED = 1e-4  # mean standard deviation of an ensemble that is given up
 LEAST_NOISE = 1e-12  # variance; an ensemble that has collapsed on the answer is still updated
 
 
-class EKI(ImageBased, Stateful):
+class EKI(ImageBased):
     """Ensemble Kalman inversion from N(0.5, sigma0^2); options of `ImageBased` and `Baseline`.
 
     With x (k, d) the ensemble, e (k, f) the features of its images, e* those of the target, and
@@ -280,14 +256,6 @@ class EKI(ImageBased, Stateful):
 
     name: ClassVar[str] = "eki"
     own_options = ("patience",)
-    own_schema: ClassVar[dict[str, Schema]] = {
-        "members": array("k", "d", low=0.0, high=1.0),
-        "lowest": real(high=np.inf),
-        "ended": maybe(row(real(), array("d", low=0.0, high=1.0))),
-        "stalled": whole(),
-        "starts": whole(),
-        "rng": GENERATOR,
-    }
 
     def __init__(
         self,
@@ -303,7 +271,8 @@ class EKI(ImageBased, Stateful):
         self._rng = np.random.default_rng(self.seed)
         self.starts = 0  # ensembles begun so far
         self._ended: tuple[float, Float64] | None = None  # as `_present`, the best that is over
-        self._start(np.full(self.dim, 0.5))
+        self._start()
+        self._proposals.made.clear()  # these are drawn again in a replay
 
     def recommend(self) -> Float64:
         """Mean (dim,) of the ensemble that found the lowest loss, at its end or now."""
@@ -319,28 +288,35 @@ class EKI(ImageBased, Stateful):
         present = self._present()
         return present if self._ended is None else min(present, self._ended, key=lambda e: e[0])
 
-    def _start(self, center: Float64) -> None:
-        noise = self._rng.standard_normal((self.popsize, self.dim))
-        self._members = np.clip(center + self.sigma0 * noise, 0.0, 1.0)
+    def _start(self) -> None:
+        self._members = self._proposals(self.popsize, self._drawn)
         self._lowest, self._stalled = np.inf, 0
         self.starts += 1
+
+    def _drawn(self) -> Float64:
+        center = np.full(self.dim, 0.5) if self.starts == 0 else self._rng.random(self.dim)
+        noise = self._rng.standard_normal((self.popsize, self.dim))
+        return np.clip(center + self.sigma0 * noise, 0.0, 1.0)
 
     def _sample(self) -> Float64:
         return self._members
 
     def _update(self, X: Float64, losses: Float64, features: Float32 | None) -> None:
-        assert features is not None
         self._population.forget_pending()  # a member is evaluated once
-        misfit = self.target_features.astype(np.float64) - features  # (k, f)
-        e = features.astype(np.float64)
-        updated = kalman_update(X, e, misfit, annealed(misfit), self._rng)
-        self._members = np.clip(updated, 0.0, 1.0)
+        self._members = self._proposals(len(X), lambda: self._moved(X, features))
+        self._forget_features()
         self._stalled = 0 if losses.min() < self._lowest else self._stalled + 1
         self._lowest = min(self._lowest, float(losses.min()))
         if self._members.std(axis=0).mean() < COLLAPSED or self._stalled >= self.patience:
             if np.isfinite(self._lowest):
                 self._ended = self._best_ensemble()
-            self._start(self._rng.random(self.dim))
+            self._start()
+
+    def _moved(self, X: Float64, features: Float32 | None) -> Float64:
+        assert features is not None
+        e = features.astype(np.float64)
+        misfit = self.target_features.astype(np.float64) - features  # (k, f)
+        return np.clip(kalman_update(X, e, misfit, annealed(misfit), self._rng), 0.0, 1.0)
 
     def _default_popsize(self) -> int:
         return max(100, 2 * self.dim)
@@ -348,21 +324,11 @@ class EKI(ImageBased, Stateful):
     def _smallest_popsize(self) -> int:
         return 2
 
-    def _own_state(self) -> dict[str, Any]:
-        return {
-            "members": self._members,
-            "lowest": self._lowest,
-            "ended": None if self._ended is None else list(self._ended),
-            "stalled": self._stalled,
-            "starts": self.starts,
-            **super()._own_state(),
-        }
+    def _network_state(self) -> Any:
+        return self._rng.bit_generator.state
 
-    def _load_own_state(self, state: dict[str, Any]) -> None:
-        self._members, self._lowest = state["members"], state["lowest"]
-        self._ended = None if state["ended"] is None else tuple(state["ended"])
-        self._stalled, self.starts = state["stalled"], state["starts"]
-        super()._load_own_state(state)
+    def _load_network_state(self, state: Any) -> None:
+        self._rng.bit_generator.state = state
 
 
 def annealed(misfit: Float64) -> float:
@@ -395,33 +361,24 @@ def kalman_update(
 
 LEAST_NOISE_STD = 1e-8
 
-_ANNEALING_SCHEMA: Schema = {
-    "history": anything,  # `Replayed` checks it
-    "proposals": array("p", "d", low=0.0, high=1.0),
-    "proposer": anything,  # checks its own
-    "collected": array("n", "f"),
-}
-
 
 class Visits:
     """State shared by the annealing's thread and the optimizer; it refers to neither."""
 
-    def __init__(self, denoise: Callable[[Float64, Float64], Float64]) -> None:
-        self.denoise = denoise
+    def __init__(
+        self, proposals: Proposals, denoise: Callable[[Float64, Float64], Float64]
+    ) -> None:
+        self.proposals, self.denoise = proposals, denoise
         self.std: Float64 | None = None  # noise model, (d,); None before the first training
         self.count = 0
         self.descending = False  # whether the local search is at work
-        self.proposals: list[Float64] = []  # all denoised points so far
-        self.recorded: deque[Float64] = deque()  # those of a run that is replayed
 
     def replace(self, x: Float64) -> None:
         """Denoise every second of the points x (d,) that are visited, in place."""
         self.count += 1
-        if self.std is None or self.count % 2:
-            return
-        proposal = self.recorded.popleft() if self.recorded else self.denoise(x, self.std)
-        self.proposals.append(proposal)
-        x[:] = proposal
+        std = self.std
+        if std is not None and self.count % 2 == 0:
+            x[:] = self.proposals(1, lambda: self.denoise(x, std)[None])[0]
 
 
 class FIDEAnnealing(ImageBased, Sequential):
@@ -450,7 +407,6 @@ class FIDEAnnealing(ImageBased, Sequential):
 
     name: ClassVar[str] = "fide-annealing"
     own_options = ("samples", "epochs", "step")
-    keeps_features: ClassVar[bool] = False  # the replay uses denoised points, not images
 
     def __init__(
         self,
@@ -471,9 +427,11 @@ class FIDEAnnealing(ImageBased, Sequential):
         from fide_plugins.proposers.diffusion import DiffusionProposer
 
         self._proposer = DiffusionProposer(self.dim, seed=self.seed, epochs=self.epochs)
-        self._visits = Visits(partial(_denoise, self._proposer, self.target_tokens))
+        self._visits = Visits(
+            self._proposals, partial(_denoise, self._proposer, self.target_tokens)
+        )
         self._x: list[Float64] = []  # collected since the last training
-        self._features: list[Float32] = []  # of their images
+        self._seen: list[Float32] = []  # features of their images
 
     def _search(self) -> Search:
         x0 = np.full(self.dim, 0.5) if self.starts == 0 else self._rng.random(self.dim)
@@ -481,41 +439,26 @@ class FIDEAnnealing(ImageBased, Sequential):
 
     def _update(self, X: Float64, losses: Float64, features: Float32 | None) -> None:
         if not self._visits.descending:
-            self._collect(X[0], None if features is None else features[0])
+            self._x.append(X[0])
+            self._seen.extend([] if features is None else features)
+        if len(self._x) == self.samples:
+            self._train(np.array(self._x))
+            self._x, self._seen = [], []
+            self._forget_features()
         super()._update(X, losses, features)
 
-    def _collect(self, x: Float64, features: Float32 | None) -> None:
-        """Keep a visited point; features (f,) of its image, None in a replay."""
-        self._x.append(x)
-        if features is not None:
-            self._features.append(features)
-        if len(self._x) < self.samples:
-            return
-        points = np.array(self._x)
+    def _train(self, points: Float64) -> None:
         self._visits.std = np.maximum(points.std(axis=0), LEAST_NOISE_STD)
-        if features is not None:
+        if not self._proposals.replays:
             with self._timed("train"):
-                tokens = self.tokens_of(np.array(self._features))
+                tokens = self.tokens_of(np.array(self._seen))
                 self._proposer.update(points, tokens, None, self._visits.std)
-        self._x, self._features = [], []
 
-    def _search_state(self) -> dict[str, Any]:
-        return {
-            "history": super()._search_state(),
-            "proposals": np.array(self._visits.proposals).reshape(-1, self.dim),
-            "proposer": self._proposer.state_dict(),
-            "collected": np.array(self._features, np.float32).reshape(-1, self._sides()["f"]),
-        }
+    def _network_state(self) -> Any:
+        return self._proposer.state_dict()
 
-    def _load_search_state(self, state: dict[str, Any]) -> None:
-        check(state, _ANNEALING_SCHEMA, self._sides(), "search")
-        self._visits.recorded.extend(state["proposals"])
-        super()._load_search_state(state["history"])
-        self._visits.recorded.clear()
-        self._features = list(state["collected"])
-        if len(self._features) != len(self._x):
-            raise ValueError(f"features of {len(self._features)} points, not {len(self._x)}")
-        self._proposer.load_state_dict(state["proposer"])
+    def _load_network_state(self, state: Any) -> None:
+        self._proposer.load_state_dict(state)
 
 
 def _anneal(

@@ -20,7 +20,7 @@ from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 
-from fide_lab.baselines.base import ImageBased, Penalty, Replayed, quietly
+from fide_lab.baselines.base import Baseline, ImageBased, Penalty, quietly
 from fide_plugins.errors import OptimizerError, OptionError, ProtocolError, UnknownNameError
 from fide_plugins.runtime.machine import missing
 from fide_plugins.runtime.messages import warn_user
@@ -130,15 +130,23 @@ def _cancel(channel: _Channel, thread: threading.Thread) -> None:
         thread.join()
 
 
-class CalledBack(Replayed):
-    """A library's search in a thread of its own.  When a search is over, the next one begins.
+class Sequential(Baseline):
+    """A library's search in a thread of its own, one evaluation at a time: its population is 1.
 
-    If more is asked before the results are told, the same points are given again.  Only the first
-    result of each is used; the others are counted.
+    When a search is over, the next one begins.  If more is asked before the results are told, the
+    same point is given again.  Only its first result is used; the others are counted.  Another
+    popsize, which may be meant for all optimizers of a comparison, has no effect, and gets a
+    warning.
     """
 
     def __init__(self, dim: int, target: object = None, **options: Any) -> None:
         super().__init__(dim, target, **options)
+        if self.popsize != 1:
+            warn_user(
+                f"popsize={self.popsize} has no effect on {self.name}, which asks for one "
+                "candidate at a time"
+            )
+            self.popsize = 1
         self.starts = 0  # searches begun so far
         self._penalty = Penalty()
         self._library: ReverseCommunication | None = None
@@ -154,55 +162,32 @@ class CalledBack(Replayed):
         """The next search, of which `starts` were begun before; it must not refer to self."""
         raise NotImplementedError
 
-    def _points(self) -> Float64:
-        """What the search waits for the values of, (n, dim) in the box; begins one if none does."""
-        if self._closed:
-            raise ProtocolError(f"this {self.name} was closed; make or load another one")
-        for _ in range(2):  # a search that is over is followed by another, which has a point
-            if self._library is None or self._library.over:
-                self._library = ReverseCommunication(self._search(), self._surroundings())
-                self.starts += 1
-            points = self._library.point()
-            if points is not None:
-                return np.clip(np.atleast_2d(points), 0.0, 1.0)
-        raise ProtocolError(f"{self.name} ended without evaluating a point; start a new one")
-
-    def _go_on(self, answer: Any) -> None:
-        """Answer the library's function."""
-        self._population.forget_pending()
-        if self._library is not None:
-            self._library.answer(answer)
-
     def _surroundings(self) -> Callable[[], AbstractContextManager[None]]:
         """What to enter whenever the search goes on; like it, it must not refer to self."""
         return quietly
-
-
-class Sequential(CalledBack):
-    """A library's search, one evaluation at a time: its population is 1.
-
-    Another popsize, which may be meant for all optimizers of a comparison, has no effect, and gets
-    a warning.
-    """
-
-    def __init__(self, dim: int, target: object = None, **options: Any) -> None:
-        super().__init__(dim, target, **options)
-        if self.popsize != 1:
-            warn_user(
-                f"popsize={self.popsize} has no effect on {self.name}, which asks for one "
-                "candidate at a time"
-            )
-            self.popsize = 1
 
     def _answer(self, loss: float, features: Float32 | None) -> Any:
         """What the library's function returns."""
         return self._penalty(loss)
 
     def _sample(self) -> Float64:
-        return self._points()
+        """Point (1, dim) whose value the search waits for; begins a search if there is none."""
+        if self._closed:
+            raise ProtocolError(f"this {self.name} was closed; make or load another one")
+        for _ in range(2):  # a search that is over is followed by another, which has a point
+            if self._library is None or self._library.over:
+                self._library = ReverseCommunication(self._search(), self._surroundings())
+                self.starts += 1
+            point = self._library.point()
+            if point is not None:
+                return np.clip(point[None], 0.0, 1.0)
+        raise ProtocolError(f"{self.name} ended without evaluating a point; start a new one")
 
     def _update(self, X: Float64, losses: Float64, features: Float32 | None) -> None:
-        self._go_on(self._answer(float(losses[0]), None if features is None else features[0]))
+        self._population.forget_pending()
+        if self._library is not None:
+            answer = self._answer(float(losses[0]), None if features is None else features[0])
+            self._library.answer(answer)
 
     def _default_popsize(self) -> int:
         return 1
@@ -385,7 +370,7 @@ def least_squares(
     )
 
 
-class Framework(Replayed):
+class Framework(Baseline):
     """An optimizer of a framework, whose own candidate objects are told back to it.
 
     popsize: points that are evaluated at the same time, 1 by default; the population is the

@@ -22,7 +22,7 @@ Where this deviates
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from itertools import pairwise
 from typing import Any, ClassVar, TypeVar
 
@@ -31,19 +31,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from fide_lab.baselines.base import Stateful
-from fide_plugins.denoiser.training import adam_state, load_adam_state
+from fide_lab.baselines.base import Baseline
 from fide_plugins.errors import OptionError
-from fide_plugins.runtime.schema import (
-    GENERATOR,
-    Schema,
-    anything,
-    array,
-    numbers,
-    real,
-    row,
-    table,
-)
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.options import positive
 from fide_plugins.validation.points import whole_number
@@ -75,11 +64,6 @@ def make(
     return module.to(device, dtype)
 
 
-def load_weights(module: nn.Module, weights: Mapping[str, Any]) -> None:
-    """Put back what ``module.state_dict()`` gave, be it tensors or arrays."""
-    module.load_state_dict({key: torch.as_tensor(value) for key, value in weights.items()})
-
-
 BATCH = 10  # offsets a step
 HIDDEN, LAYERS = 64, 3
 STEPS = 3  # of Adam, for the parameter and for the network
@@ -107,7 +91,7 @@ class Proxy(nn.Module):
         return gradient
 
 
-class ZeroGrads(Stateful):
+class ZeroGrads(Baseline):
     """ZeroGrads from the center of the box.
 
     batch: offsets a step, each used with both signs; the population is 2 batch + 1.  None: the
@@ -127,15 +111,6 @@ class ZeroGrads(Stateful):
 
     name: ClassVar[str] = "zerograds"
     own_options = ("batch", "smooth", "scale", "learning_rate", "proxy_rate")
-    own_schema: ClassVar[dict[str, Schema]] = {
-        "theta": array("d", low=0.0, high=1.0),
-        "weights": table(numbers),
-        "adam": row(anything, anything),  # `load_adam_state` checks them
-        "scale": real(low=0.0),
-        "rendered": array("points", "d", low=0.0, high=1.0),
-        "unshifted": array("points", "d", low=0.0, high=1.0),
-        "rng": GENERATOR,
-    }
 
     def __init__(
         self,
@@ -222,25 +197,3 @@ class ZeroGrads(Stateful):
 
     def _default_popsize(self) -> int:
         return 2 * self.batch + 1
-
-    def _own_state(self) -> dict[str, Any]:
-        pairs = self._unshifted.items()
-        return {
-            "theta": self._theta,
-            "weights": dict(self._proxy.state_dict()),
-            "adam": [adam_state(self._theta_adam), adam_state(self._proxy_adam)],
-            "scale": self._scale,
-            "rendered": np.array([np.frombuffer(y) for y, _ in pairs]),
-            "unshifted": np.array([x for _, x in pairs]),
-            **super()._own_state(),
-        }
-
-    def _load_own_state(self, state: dict[str, Any]) -> None:
-        self._theta.copy_(torch.as_tensor(state["theta"]))
-        load_weights(self._proxy, state["weights"])
-        load_adam_state(self._theta_adam, state["adam"][0])
-        load_adam_state(self._proxy_adam, state["adam"][1])
-        self._scale = state["scale"]
-        pairs = zip(state["rendered"], state["unshifted"], strict=True)
-        self._unshifted = {y.tobytes(): x for y, x in pairs}
-        super()._load_own_state(state)

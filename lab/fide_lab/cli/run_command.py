@@ -4,7 +4,7 @@ r"""Fit a built-in task or a test of your own renderer, and write a run director
     fide run spline --optimizer cma --set popsize=50 --out runs/mine
     fide run voronoi --task-set cells=12 --task-seed 3 --json
     fide run beads --size 112 --spp 16 --loss perceptual --task-set variant=llvm
-    fide run san_miguel --size 112 --spp 16 --least-spp 1
+    fide run san_miguel --size 112 --spp 4
     fide run scene.py:render --space space.toml --task-seed 3
     fide run --command 'povray scene.pov +O{out} Declare=Sun={sun}' --space space.toml
 
@@ -44,8 +44,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--task-seed", type=whole(0), default=0, metavar="N", help="chooses the target (0)")
     add("--spp", type=whole(1), metavar="N", help="samples per pixel, for tasks of Mitsuba")
-    add("--least-spp", type=whole(1), metavar="N",
-        help="samples per pixel at first; they rise to --spp as noise requires")  # fmt: skip
     add("--workers", type=whole(1), metavar="N",
         help="processes that render, for tasks of Mitsuba (1)")  # fmt: skip
     add("--task-set", type=setting, action="append", default=[], metavar="KEY=VALUE",
@@ -99,6 +97,6 @@ def _learned(args: argparse.Namespace) -> dict[str, Any]:
 
 def _task_options(args: argparse.Namespace) -> dict[str, Any]:
     """Options of the task from --task-set and from the flags that are options of tasks."""
-    flags = {name: getattr(args, name) for name in ("spp", "least_spp", "workers", "suite")}
+    flags = {name: getattr(args, name) for name in ("spp", "workers", "suite")}
     given = {k: v for k, v in flags.items() if v is not None} | options_of(args)
     return {**given, **dict(args.task_set)}

@@ -145,7 +145,7 @@ class Plan:
 
     For one task and one loss, all configurations have the same target and the same box, and the
     same budget but for those that name their own.  Searches start from the center of the box;
-    optimizers that draw their first candidates (`random`, `inverse`, `npe`) do not.  Runs with the
+    optimizers that draw their first candidates (`random`, `inverse`) do not.  Runs with the
     same seed form a pair.
 
     tasks, losses: names; configurations: optimizers with options; seeds: number of seeds, from 0.
@@ -183,7 +183,7 @@ class Plan:
     @property
     def keep(self) -> Keep:
         """What every run records."""
-        return Keep(metrics=self.metrics, film=True, summary=False, checkpoint=False)
+        return Keep(metrics=self.metrics, summary=False, checkpoint=False)
 
     def runs(self) -> Iterator[RunKey]:
         """All runs, seeds outermost, so that the finished runs can be compared at any time."""

@@ -52,8 +52,7 @@ class Curve:
 
     at: position of the steps along each of `AXES`, (m,).
     ends: end of the run along each of `AXES`.
-    loss: (m,), of each improvement, so decreasing.  Only a run whose samples per pixel rise
-        (`least_spp`) renders its best candidate again, and compares what follows with that loss.
+    loss: (m,), of each improvement, so decreasing.
     metrics: other losses of the same images by name, (m,).
     """
 

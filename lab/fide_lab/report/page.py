@@ -101,7 +101,6 @@ def environment() -> Any:
 def _section(
     results: Results, panel: Panel, charts: dict[str, bytes], number: int
 ) -> dict[str, Any]:
-    marks, strips = plots.film(panel)
     return {
         "panel": panel,
         "anchor": f"panel-{number}",
@@ -109,7 +108,6 @@ def _section(
         "failures": sentences.failures(panel),
         "threshold": sentences.threshold(panel),
         "abbreviations": sentences.abbreviations(panel),
-        "shorter": len({row.budget for row in panel.rows}) > 1,
         "charts": [_chart(panel, axis, charts[axis], f"p{number}-{axis}") for axis in AXES],
         "times": plots.markup(charts["times"], f"p{number}-times", plots.describe_times(panel)),
         "ranking": tables.ranking(panel),
@@ -119,8 +117,6 @@ def _section(
             target_file(results.path, panel.task, "png"), f"target of {panel.task}", "target"
         ),
         "found": plots.rows_of(panel),
-        "marks": marks,
-        "film": strips,
     }
 
 

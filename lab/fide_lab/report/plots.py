@@ -350,7 +350,6 @@ def markup(file: bytes, name: str, description: str) -> Markup:
 
 # -- images that the runs of a panel found: small ones for the page, one figure for a paper --------
 
-_FRAME = 100  # pixels of the longer side of a film frame, its size on the page
 _TITLE = 21  # most characters above a picture of the figure
 
 
@@ -386,28 +385,6 @@ def rows_of(panel: Panel) -> list[Strip]:
     return strips
 
 
-def film(panel: Panel) -> tuple[list[int], list[Strip]]:
-    """Marks (numbers of renders), and the best image so far of each median run at each mark.
-
-    The marks are those of the longest runs.  The end of a shorter run is shown under the next mark,
-    with its own number of renders.
-    """
-    found = {row.label: _frames(row.typical) for row in panel.rows}
-    longest = max(panel.rows, key=lambda row: row.budget)
-    marks = sorted(found[longest.label])
-    strips = []
-    for row in panel.rows:
-        places = {_place(mark, marks): mark for mark in sorted(found[row.label])}
-        shown = (_frame(row, found[row.label], places.get(mark), mark) for mark in marks)
-        strips.append(Strip(row.name, row.index, tuple(shown)))
-    return marks, strips
-
-
-def _place(mark: int, marks: Sequence[int]) -> int:
-    """The first of `marks` that is at least `mark`."""
-    return next((place for place in marks if place >= mark), mark)
-
-
 def grid(panel: Panel, target: Path) -> Figure:
     """Figure for a paper: target, and the best, median and worst run of each configuration."""
     columns = len(panel.rows) + 1
@@ -439,15 +416,6 @@ def _with_loss(
     return picture(path, f"{alt}, loss {loss:.3g}", f"{what} {loss:.3g}".strip(), side)
 
 
-def _frame(row: Row, frames: dict[int, Path], mark: int | None, place: int) -> Picture | None:
-    """The best image of the median run after `mark` renders, under the mark `place`."""
-    if mark is None or row.typical.curve is None:
-        return None
-    loss = row.typical.curve.loss_at("renders", mark)
-    note = "" if mark == place else f"{mark}:"
-    return _with_loss(frames[mark], f"{row.name} after {mark} renders", loss, note, _FRAME)
-
-
 def _chosen(row: Row) -> Sequence[tuple[str, StoredRun]]:
     """The best, the median and the worst run; two of two runs, one of one."""
     ranked = row.ranked
@@ -459,16 +427,6 @@ def _found(run: StoredRun) -> Path:
     """File of the image by which a run was judged."""
     reference = run.folder / "reference.png"
     return reference if reference.exists() else run.folder / "best.png"
-
-
-def _frames(run: StoredRun) -> dict[int, Path]:
-    """Files of a run's film frames by number of renders."""
-    found = {}
-    for path in run.folder.glob("frame-*.png"):
-        number = re.fullmatch(r"frame-(\d+)", path.stem)
-        if number:
-            found[int(number[1])] = path
-    return found
 
 
 def _load(path: Path) -> Float32 | None:

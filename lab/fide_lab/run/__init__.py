@@ -10,13 +10,11 @@
 `run` does everything.  `prepare` checks the arguments, opens the run directory and resumes; it
 returns a `Run` to execute.  Errors of `prepare` are usage errors, errors of `execute` failed runs.
 
-================  ==================================================================
-`prepare`         makes a `Run` from names and options, all checked
-`task`            what is fitted: the protocol of a task, a user's renderer as a task
-`user_optimizer`  any object with `ask` and `tell` as an optimizer
-`loop`            generations, rendered in pieces; the loop is that of `fit`
-`pixel_samples`   the number of samples per pixel, where it rises
-================  ==================================================================
+=========  ==================================================================
+`prepare`  makes a `Run` from names and options, all checked
+`task`     what is fitted: the protocol of a task, a user's renderer as a task
+`loop`     generations, rendered in pieces; the loop is that of `fit`
+=========  ==================================================================
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import time
 from array import array
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import closing, nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -30,7 +30,6 @@ from typing import Any
 import numpy as np
 
 from fide_lab.run.foreign import ERROR, Foreign
-from fide_lab.run.pixel_samples import Fidelity
 from fide_lab.run.task import Task, TaskInfo
 from fide_plugins import losses as losses_module
 from fide_plugins.errors import FideError, PointsError, RenderError
@@ -54,7 +53,7 @@ from fide_plugins.validation.images import as_batch, as_target
 from fide_plugins.validation.pixels import Clipping
 from fide_plugins.validation.points import as_points
 
-__all__ = ["PIECE", "Run", "judge", "marks"]
+__all__ = ["PIECE", "Run", "judge"]
 
 PIECE = 32
 """Largest number of candidates that are rendered before their results are told, where the task does
@@ -71,7 +70,6 @@ class Run:
     directory: run directory, or None.
     checkpoint_every: seconds between checkpoints, see `CheckpointTimer`.
     keep, metrics: what to record beside the loss, and the losses that this needs, by name.
-    fidelity: numbers of samples per pixel that rise; None where they stay.
     """
 
     def __init__(
@@ -86,12 +84,11 @@ class Run:
         checkpoint_every: float,
         keep: Keep,
         metrics: Mapping[str, ImageLoss],
-        fidelity: Fidelity | None = None,
     ) -> None:
         self.task, self.target, self.optimizer, self.loss = task, target, optimizer, loss
         self.settings, self.record = settings, record
         self._directory, self._checkpoint_every = directory, checkpoint_every
-        self._keep, self._metrics, self._fidelity = keep, metrics, fidelity
+        self._keep, self._metrics = keep, metrics
         self._info = TaskInfo.of(task)
         self._budget: int = settings["budget"]
         self._clipping = Clipping()
@@ -127,7 +124,7 @@ class Run:
         directory = nullcontext() if self._directory is None else closing(self._directory)
         with directory, Interrupts(once=True) as interrupts:
             self._loop = Loop(
-                self, self.optimizer, InThisProcess(self._render_piece),
+                self, self.optimizer, InThisProcess(self._render),
                 Stopping(self._budget, until="budget"), self.record, interrupts,
                 piece=self._info.piece or PIECE, checkpoint_every=self._checkpoint_every,
             )  # fmt: skip
@@ -167,12 +164,8 @@ class Run:
         self.record.generations.append(len(points))
         return points
 
-    def tell(self, X: Float64, outcome: tuple[Any, Float32]) -> bool:
-        """Evaluate, tell and record a piece X (n, dim).
-
-        outcome: its images, and images (m, H, W, 3) of extra points.
-        """
-        images, extra = outcome
+    def tell(self, X: Float64, images: Any) -> bool:
+        """Evaluate, tell and record a piece X (n, dim) with its images."""
         record, start = self.record, time.perf_counter()
         if self._foreign is not None:
             self._loop.whole = False
@@ -182,7 +175,6 @@ class Run:
         try:
             batch = as_batch(images, self.target.shape, n=len(X), on_clip=self._clipping)
             losses = self.loss.compute(batch)
-            others = self.loss.compute(extra) if len(extra) else np.empty(0)
         except BaseException:
             self._loop.put_back(X)
             raise
@@ -191,41 +183,27 @@ class Run:
         with record.timing(self.optimizer):
             self.optimizer.tell(X, batch, losses)
         self._loop.tick()
-        if self._fidelity is not None:
-            more = self._loop.has_waiting
-            self._fidelity.note(record, losses, extra, others, more=more)
-            record.fidelity = self._fidelity.state_dict()
         return self._enter(X, batch, losses)
 
     def _enter(self, X: Float64, batch: Float32, losses: Float64) -> bool:
         """Record what was told; whether it holds the best loss so far."""
         record = self.record
-        first, before = record.evaluations, record.image
         improved = record.add(X, batch, losses)
         start = time.perf_counter()
         with self._loop.not_counted():
-            self._observe(first, before, batch, improved)
+            self._observe(batch, improved)
         record.watch_s += time.perf_counter() - start
         self._loop.whole = True
         return bool(improved)
 
-    def _observe(
-        self, first: int, before: Float32 | None, batch: Float32, improved: list[int]
-    ) -> None:
-        """Measure improvements by the other losses, and film them.
-
-        first: evaluations before this piece; before: best image before this piece; improved:
-        indices of the candidates of the piece that improved the best loss.
-        """
+    def _observe(self, batch: Float32, improved: list[int]) -> None:
+        """Measure improvements, the images of these indices, by the other losses."""
         if self._foreign is not None:
             self._foreign.note_errors(self.record)
         for name, metric in self._metrics.items():
             values = self.record.metrics.setdefault(name, array("d"))
             if improved:
                 values.extend(metric.compute(batch[improved]).tolist())
-        if self._keep.film and self._directory is not None:
-            for mark, image in frames(first, before, batch, improved, self._budget):
-                self._directory.write_frame(mark, image)
 
     def show(self, last: bool) -> None:
         """Report the progress; last: whether the run is over."""
@@ -244,22 +222,11 @@ class Run:
 
     # -- rendering ---------------------------------------------------------------------------------
 
-    def _render_piece(self, X: Float64) -> Any:
-        """Images of a piece X (n, dim), and those (m, H, W, 3) of points that `Fidelity` needs."""
-        images = self._render(X)
-        points = X[:0] if self._fidelity is None else self._fidelity.extra_points(X, self.record)
-        if not len(points):
-            return images, np.empty((0, *self.target.shape), np.float32)
-        extra = self._render(points, 2**39)
-        shape, n = self.target.shape, len(points)
-        return images, as_batch(extra, shape, n=n, on_clip=self._clipping)
-
-    def _render(self, X: Float64, stream: int = 0) -> Any:
+    def _render(self, X: Float64) -> Any:
         done = self.record.evaluations
-        first = self.settings["seed"] * 2**40 + stream + done
-        render = self.task.render if self._fidelity is None else self._fidelity.render
+        first = self.settings["seed"] * 2**40 + done
         try:
-            return render(X, seed=[first + i for i in range(len(X))])
+            return self.task.render(X, seed=[first + i for i in range(len(X))])
         except FideError:
             raise
         except Exception as error:
@@ -335,7 +302,6 @@ class Run:
             self.record,
             verdict,
             budget=self._budget,
-            samples=None if self._fidelity is None else self._fidelity.total,
             status=self.optimizer.status,
             space=getattr(self.task, "space", None),
         )
@@ -371,29 +337,3 @@ def judge(
 
 def _loss(loss: ImageLoss, image: Float32) -> float:
     return float(loss.compute(image[None])[0])
-
-
-def marks(budget: int) -> list[int]:
-    """Numbers of renders after which a frame of the film is kept; the last one is `budget`.
-
-    >>> marks(500)
-    [1, 3, 10, 30, 100, 300, 500]
-    """
-    decades = (factor * 10**power for power in range(len(str(budget))) for factor in (1, 3))
-    return [mark for mark in decades if mark < budget] + [budget]
-
-
-def frames(
-    first: int, before: Float32 | None, batch: Float32, improved: Sequence[int], budget: int
-) -> Iterator[tuple[int, Float32]]:
-    """Marks that a piece of candidates passes, each with the best image (H, W, 3) by then.
-
-    first: renders before the piece; before: best image before the piece, or None.
-    batch: images of the piece, (n, H, W, 3); improved: indices of images that were the best so far.
-    """
-    for mark in marks(budget):
-        if first < mark <= first + len(batch):
-            better = [i for i in improved if first + i < mark]
-            image = batch[better[-1]] if better else before
-            if image is not None:
-                yield mark, image

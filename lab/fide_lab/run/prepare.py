@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from fide_lab import optimizers
+from fide_lab.optimizers import Named
 from fide_lab.run.loop import Run
-from fide_lab.run.pixel_samples import Fidelity
 from fide_lab.run.task import Task, TaskInfo, is_own, make_renderer_task, source_of_target
-from fide_lab.run.user_optimizer import AskTell, UserOptimizer, complete
 from fide_lab.suite import read as read_suite
 from fide_plugins import losses as losses_module
 from fide_plugins.errors import CheckpointError, FideError, OptionError, RenderError
@@ -40,7 +39,7 @@ __all__ = ["kept_of", "make_task", "prepare", "run", "settings_of", "target_of"]
 
 def run(
     task: str | Task,
-    optimizer: str | Callable[..., AskTell] = "fide",
+    optimizer: Named = "fide",
     loss: str | Callable[..., object] = "mse",
     budget: int = 5000,
     seed: int = 0,
@@ -60,7 +59,7 @@ def run(
 
 def prepare(
     task: str | Task,
-    optimizer: str | Callable[..., AskTell] = "fide",
+    optimizer: Named = "fide",
     loss: str | Callable[..., object] = "mse",
     budget: int = 5000,
     seed: int = 0,
@@ -84,19 +83,15 @@ def prepare(
         name in `fide_tasks`; ``FILE.py:NAME``, or any name with the option `command`, for a user's
         renderer, see `task.make_renderer_task`; or a `Task`.
     size, task_seed, task_options
-        arguments of a task that is given by name; a user's renderer has its own size.  The option
-        `least_spp` is the initial number of samples per pixel; that of the task is the largest, see
-        `pixel_samples`.
+        arguments of a task that is given by name; a user's renderer has its own size.
     optimizer
         name in `fide_lab.optimizers`; ``FILE.py:NAME`` for a user's class, see
-        `baselines.own`; or a callable that is called as a class of one would be:
-        ``(dim, target, loss=, seed=, **options)``.  What it makes needs `ask` and `tell`; all
-        else is optional, see `user_optimizer.UserOptimizer`.
+        `baselines.own`; or a class, or a function ``(dim, target, loss=, seed=, **options)`` that
+        makes an optimizer.
     loss
         name in `fide_plugins.losses`, or a callable images -> (n,).
     budget
-        number of candidates to render.  With `least_spp`, one in eighteen is rendered twice, which
-        does not count.
+        number of candidates to render.
     seed
         seed of the optimizer, and of the renderer's noise.
     options
@@ -130,7 +125,6 @@ def prepare(
         task = make_task(task, size, task_seed, task_options)
     resumed = resume and out is not None and is_saved(out)
     search_options = with_model(options, task, resumed=resumed and optimizer == "fide")
-    fidelity = Fidelity(task, task_options["least_spp"]) if "least_spp" in task_options else None
     file = None if out is None or target is not None else Path(out) / TARGET_FILE
     target = target_of(task, file) if target is None else as_target(target)
     judge = losses_module.resolve(loss, target, device=options.get("device"))
@@ -141,32 +135,35 @@ def prepare(
     searcher = _make_optimizer(optimizer, task, target, loss, seed, budget, search_options)
     record, directory = Record(), None
     if out is not None:
-        _check_reloads(optimizer, searcher)
-        may_change = () if _depends_on_budget(optimizer) else ("budget",)
+        if not isinstance(optimizer, str):
+            raise OptionError(
+                "a run with a directory needs its optimizer by name, to load it again; "
+                "see fide_lab.optimizers.register"
+            )
+        may_change = () if "budget" in optimizers.options(optimizer) else ("budget",)
         directory = RunDirectory(
             out, settings, resume=resume, command=command, may_change=may_change,
             sources=_sources(task, optimizer, options, searcher, [judge, *metrics.values()]),
         )  # fmt: skip
         kept = None if file is None else kept_of(task, target)
-        record, searcher = _started(directory, record, searcher, fidelity, budget, kept)
+        record, searcher = _started(directory, record, searcher, budget, kept)
     return Run(
         task, target, searcher, judge, settings, record, directory, checkpoint_every, keep, metrics,
-        fidelity,
     )  # fmt: skip
 
 
-def _check_optimizer(optimizer: str | Callable[..., AskTell], options: Mapping[str, Any]) -> None:
+def _check_optimizer(optimizer: Named, options: Mapping[str, Any]) -> None:
     """Raise ValueError for an optimizer that is no use, and for options that the run gives it."""
     given: tuple[str, ...] = ("loss", "seed")
+    optimizers.options(optimizer)  # raises
     if isinstance(optimizer, str):
-        optimizers.options(optimizer)  # raises
         given = ("self", "dim", "target", *given)  # a user's callable may name its own options so
     check_names(options, given, "is an argument of the run, not an option of its optimizer")
 
 
 def _sources(
     task: Task,
-    optimizer: str | Callable[..., AskTell],
+    optimizer: Named,
     options: Mapping[str, Any],
     searcher: Optimizer,
     losses: Sequence[ImageLoss],
@@ -181,21 +178,10 @@ def _sources(
     return of_files(files) | of_models(options) | of_weights(searcher) | of_losses(losses)
 
 
-def _check_reloads(optimizer: str | Callable[..., AskTell], searcher: Optimizer) -> None:
-    if not isinstance(optimizer, str):
-        raise OptionError(
-            "a run with a directory needs its optimizer by name, to load it again; "
-            "see fide_lab.optimizers.register"
-        )
-    if isinstance(searcher, UserOptimizer):
-        searcher.check_saves()
-
-
 def _started(
     directory: RunDirectory,
     record: Record,
     searcher: Optimizer,
-    fidelity: Fidelity | None,
     budget: int,
     kept: KeptTarget | None,
 ) -> tuple[Record, Optimizer]:
@@ -205,14 +191,12 @@ def _started(
         refused.callback(directory.close)
         saved = directory.restore(lambda path: optimizers.load(name, path, device=device))
         if saved is not None:
-            dim, record = searcher.dim, saved[0]
-            searcher = complete(saved[1], dim, record.evaluations, record.best)
+            dim = searcher.dim
+            record, searcher = saved
             if searcher.dim != dim:
                 raise CheckpointError(
                     f"{directory.path}: an optimizer of {searcher.dim} parameters"
                 )
-        if fidelity is not None and record.fidelity is not None:
-            fidelity.load_state_dict(record.fidelity)
         if record.evaluations > budget:
             raise OptionError(
                 f"the run in {directory.path} has {record.evaluations} renders already, and the "
@@ -228,12 +212,10 @@ def make_task(
 ) -> Task:
     """Make the task `name` of `fide_tasks`, that of a user's renderer, or a problem of a suite.
 
-    Its option `spp` is the largest number of samples.
-
     Raises OptionError (a ValueError) for an option that a problem of a suite does not leave open.
     """
     if "suite" in options:
-        if others := sorted(options.keys() - {"suite", "least_spp"}):
+        if others := sorted(options.keys() - {"suite"}):
             raise OptionError(f"a suite is fixed and does not leave {others[0]} open; leave it out")
         scene, target_seed = read_suite(options["suite"]).problem(name)
         if scene.metric is not None:
@@ -245,14 +227,13 @@ def make_task(
         return make_renderer_task(name, seed, options)
     import fide_tasks
 
-    own = {key: value for key, value in options.items() if key != "least_spp"}
-    return fide_tasks.make(name, size, seed, **own)
+    return fide_tasks.make(name, size, seed, **options)
 
 
 def settings_of(
     task: Task,
     target: Float32,
-    optimizer: str | Callable[..., AskTell],
+    optimizer: Named,
     loss: str,
     budget: int,
     seed: int,
@@ -285,7 +266,7 @@ def settings_of(
 
 
 def _make_optimizer(
-    optimizer: str | Callable[..., AskTell],
+    optimizer: Named,
     task: Task,
     target: Float32,
     loss: str | Callable[..., object],
@@ -294,17 +275,10 @@ def _make_optimizer(
     options: dict[str, Any],
 ) -> Optimizer:
     options = {"loss": loss, "seed": seed, **options}
-    if isinstance(optimizer, str):
-        if _depends_on_budget(optimizer):
-            options = {"budget": budget, **options}
-        space = TaskInfo.of(task).search_space or task.dim
-        return complete(optimizers.make(optimizer, space, target, **options), task.dim)
-    return complete(optimizer(task.dim, target, **options), task.dim)
-
-
-def _depends_on_budget(optimizer: str | Callable[..., AskTell]) -> bool:
-    """Whether another budget means another run, not only a longer one."""
-    return not isinstance(optimizer, str) or "budget" in optimizers.options(optimizer)
+    if "budget" in optimizers.options(optimizer):
+        options = {"budget": budget, **options}
+    space = TaskInfo.of(task).search_space or task.dim
+    return optimizers.make(optimizer, space, target, **options)
 
 
 def kept_of(task: Task, target: Float32) -> KeptTarget:

@@ -53,7 +53,6 @@ class TaskInfo:
         result is judged.
     incidental_options: names of options that leave every image as it is, such as workers.
     renderer: name of what renders here, for a task whose images depend on what the machine has.
-    spp: most samples of a pixel, which `render` obeys.
     search_space: named parameters, for an optimizer that handles integers and choices as such.
     piece: most candidates to render before their results are told; None: the loop's own number.
     advice: function of the name of a loss that gives a sentence, for a user who would do better
@@ -68,7 +67,6 @@ class TaskInfo:
     reference: Callable[[Float64], Any] | None = None
     incidental_options: tuple[str, ...] = ()
     renderer: str | None = None
-    spp: int | None = None
     search_space: Space | None = None
     piece: int | None = None
     advice: Callable[[str], str | None] | None = None

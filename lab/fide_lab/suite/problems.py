@@ -26,7 +26,7 @@ class SuitePlan(Plan):
     @property
     def keep(self) -> Keep:
         """What every run records: its curve."""
-        return Keep(film=False, summary=False, checkpoint=False)
+        return Keep(summary=False, checkpoint=False)
 
     def runs(self) -> Iterator[RunKey]:
         """All runs, targets outermost, so that finished problems can be compared at any time."""

@@ -48,14 +48,9 @@ def test_tokens_are_places_of_the_layer(layer: str, cached_weights: Path) -> Non
     assert tokens.min() == 0 < tokens.max()
 
 
-def test_versions(cached_weights: Path, tmp_path: Path) -> None:
+def test_versions(cached_weights: Path) -> None:
     default, layer = encoders.make("vgg19"), encoders.make("vgg19:relu4_1")
     assert default.version.startswith("vgg19-2-relu5_4-") and layer.version != default.version
-    state = torch.load(cached_weights / "vgg19-dcbb9e9d.pth", weights_only=True)
-    state["features.0.bias"][0] += 1e-3
-    torch.save(state, tmp_path / "mine.pth")
-    mine = VGG19Encoder(weights=tmp_path / "mine.pth")
-    assert mine.version[:-8] == default.version[:-8] and mine.version != default.version
 
 
 def test_weights_of_one_s_own_reach_the_optimizer(

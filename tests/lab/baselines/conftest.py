@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -64,46 +63,30 @@ class Subject:
     @property
     def sequential(self) -> bool:
         """Whether it evaluates one point after the other."""
-        return self.name in ("dual-annealing", "fide-annealing", "dfols", "lq-cma-es")
+        return self.name in ("dual-annealing", "fide-annealing", "dfols")
 
     @property
     def threads(self) -> int:
         """Threads of its own while it waits for results."""
-        return int(self.sequential or self.name == "bipop-cma-es")
-
-    @property
-    def installed(self) -> bool:
-        """Whether the package that it needs is there."""
-        return self.needs is None or bool(find_spec(self.needs))
-
-    @property
-    def needs(self) -> str | None:
-        """A package that is not required."""
-        return {"composite-bo": "botorch", "turbo": "botorch", "npe": "sbi"}.get(self.name)
+        return int(self.sequential)
 
     @property
     def looks(self) -> bool:
         """Whether it needs images."""
-        return self.name in ("composite-bo", "eki", "dfols", "fide-annealing", "inverse", "npe")
+        return self.name in ("eki", "dfols", "fide-annealing", "inverse")
 
 
 SUBJECTS = [
-    Subject("bipop-cma-es", evaluations=300, close=0.05),
     Subject("cma", evaluations=400, close=1e-4),
-    Subject("composite-bo", evaluations=30, close=0.1),
     Subject("dfols", evaluations=40),
     Subject("dibo", evaluations=60),
     Subject("dual-annealing"),
     Subject("eki", close=0.1),
     Subject("fide-annealing", evaluations=60),
     Subject("inverse"),
-    Subject("lq-cma-es", evaluations=60, close=0.1),
     Subject("nevergrad:TwoPointsDE", evaluations=40),
     Subject("optuna:CmaEsSampler", evaluations=40),
-    Subject("npe", evaluations=60),
-    Subject("pgpe"),
     Subject("random"),
-    Subject("turbo", evaluations=30),
     Subject("zerograds"),
 ]
 
@@ -132,8 +115,6 @@ def target(dim: int = 3) -> Float32:
 def subject(request: pytest.FixtureRequest) -> Subject:
     """Every baseline, one after the other."""
     chosen: Subject = request.param
-    if not chosen.installed:
-        pytest.skip(f"needs {chosen.needs}")
     return chosen
 
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 OPTIONS: dict[str, dict[str, Any]] = {
-    "bipop-cma-es": {},
     "cma": {},
-    "composite-bo": {"popsize": 10, "initial": 10, "candidates": 40, "steps": 5},
     "dfols": {},
     "dibo": {
         "popsize": 20,
@@ -28,18 +26,6 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "eki": {"popsize": 20},
     "fide-annealing": {"samples": 20, "epochs": 1},
     "inverse": {"popsize": 20, "budget": 100, "share": 0.4, "epochs": 2, "width": 8, "blocks": 1},
-    "lq-cma-es": {},
-    "npe": {
-        "popsize": 20,
-        "rounds": 2,
-        "epochs": 2,
-        "size": 16,
-        "width": 4,
-        "transforms": 1,
-        "support": 50,
-    },
-    "pgpe": {"popsize": 20},
     "random": {},
-    "turbo": {"popsize": 10, "initial": 10, "candidates": 40, "steps": 5},
     "zerograds": {"batch": 4},
 }

@@ -280,9 +280,9 @@ def test_scipy_goes_on_from_the_point_that_was_put_in_the_place_of_its_own() -> 
     visits: Visits = opt._visits
     visits.denoise = lambda x, std: answer.copy()
     while visits.std is None:
-        assert not visits.proposals
+        assert not opt._proposals.made
         opt.tell(*_one(opt))
-    while not visits.proposals:
+    while not opt._proposals.made:
         opt.tell(*_one(opt))
     after = []
     for _ in range(200):
@@ -320,7 +320,7 @@ def test_noise_and_training_follow_the_points_of_both_kinds() -> None:
             visited.append(X[0])
         opt.tell(X, images, losses)
     np.testing.assert_array_equal(np.concatenate(trained), np.array(visited)[:60])
-    proposals = np.array(opt._visits.proposals)
+    proposals = np.array(opt._proposals.made)
     asked = np.array(visited)[20:60]
     among = [(p == asked).all(axis=1).any() for p in proposals[:20]]
     assert all(among)  # half of those after the first training

@@ -46,10 +46,10 @@ def test_a_failure_on_a_cluster_is_recorded(cluster: Any, tmp_path: Path) -> Non
     folder = tmp_path / next(plan.runs()).folder
     comparison = compare.driver.prepare(plan, tmp_path, dask=cluster.scheduler_address)
     folder.mkdir(parents=True)
-    (folder / "frame-1.png").mkdir()  # so that the run cannot be written
+    (folder / "best.png").mkdir()  # so that the run cannot be written
     outcomes = {outcome.key.configuration: outcome for outcome in comparison.execute()}
     failed = outcomes.pop("random")
-    assert failed.kind == "failed" and "frame-1.png" in failed.note
+    assert failed.kind == "failed" and "best.png" in failed.note
     assert [outcome.kind for outcome in outcomes.values()] == ["done"]
 
 

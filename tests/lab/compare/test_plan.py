@@ -141,11 +141,6 @@ def test_a_budget_below_one_population_gets_a_warning(
         assert set(plan.check(tmp_path).settings) == set(plan.runs())
 
 
-def test_a_population_that_depends_on_the_budget_fits_it(tmp_path: Path) -> None:
-    pytest.importorskip("sbi")
-    small("npe", budget=40).check(tmp_path)
-
-
 def test_everyone_of_a_task_has_the_same_target(tmp_path: Path) -> None:
     plan = small("cma", "random", "cma:popsize=20", tasks=("voronoi",), losses=("mse", "loi"))
     checked = plan.check(tmp_path)

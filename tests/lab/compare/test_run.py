@@ -320,7 +320,7 @@ def test_what_an_optimizer_warns_of_is_said_once(
     jobs: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(machine, "cores", lambda: 2)
-    names, losses = ("dual-annealing", "lq-cma-es", "random"), ("mse", "loi")
+    names, losses = ("dual-annealing", "dfols", "random"), ("mse", "loi")
     plan = small(*names, losses=losses, budget=13, options={"popsize": 12})
     with pytest.warns(RuntimeWarning) as found:
         outcomes = compare.run(plan, tmp_path, jobs=jobs)

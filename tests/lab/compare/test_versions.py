@@ -190,7 +190,7 @@ def model(folder: Path, models: tuple[Path, Path]) -> Path:
     return Path(shutil.copy(models[0], folder / "m.fide"))
 
 
-NAMED = ("learned=m.fide", "encoder=learned:m.fide")
+NAMED = ("learned=m.fide",)
 
 
 @pytest.mark.parametrize("named", NAMED)
@@ -234,7 +234,7 @@ def test_runs_of_a_model_that_was_learned_again_are_reported_with_a_warning(
 
 
 def test_the_same_model_is_none_that_changed(model: Path) -> None:
-    one = "fide:learned=m.fide:encoder=learned:m.fide"
+    one = "fide:learned=m.fide"
     compare.run(plan(one), "out")
     content = model.read_bytes()
     model.unlink()

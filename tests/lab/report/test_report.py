@@ -80,7 +80,7 @@ def test_nothing_has_the_name_of_something_else(written: Path) -> None:
 
 def test_everything_that_is_seen_can_be_read_aloud(written: Path) -> None:
     page = Page(written)
-    assert all(a["alt"].strip() for a in page.all("img")) and len(page.all("img")) > 10
+    assert all(a["alt"].strip() for a in page.all("img")) and len(page.all("img")) > 4
     for element in page.all("svg"):
         assert element.get("aria-hidden") == "true" or element["aria-label"].startswith(
             ("Best", "Milliseconds")
@@ -265,20 +265,6 @@ def test_all_text_of_a_figure_lies_within_it_and_beside_the_curves(legend: bool)
             key: Any = figure.axes[0].get_legend()
             box = key.get_window_extent()
             assert not box.shrunk(0.99, 0.99).overlaps(figure.axes[0].bbox)
-
-
-def test_the_end_of_a_shorter_run_is_filmed_under_the_next_mark(tmp_path: Path) -> None:
-    configurations = Configuration.parse("random"), Configuration.parse("cma:budget=20")
-    plan = Plan(("spline",), configurations, seeds=1, budget=40, size=16)
-    compare.run(plan, tmp_path)
-    (panel,) = panels(compare.read(tmp_path), {})
-    marks, (long, short) = plots.film(panel)
-    assert marks == [1, 3, 10, 30, 40]
-    assert [p is not None for p in long.pictures] == [True] * 5
-    assert [p is not None for p in short.pictures] == [True] * 4 + [False]
-    (last,) = [p for p in short.pictures[3:] if p is not None]
-    assert last.alt.startswith("cma after 20 renders, loss ") and last.note.startswith("20: ")
-    assert long.label == "random" and ":" not in (long.pictures[3] or last).note
 
 
 def test_few_seeds_are_said_to_be_few() -> None:

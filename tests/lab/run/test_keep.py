@@ -1,4 +1,4 @@
-"""What a run records beside the losses: other losses, the film, generations, checksums."""
+"""What a run records beside the losses: other losses, generations, checksums."""
 
 from __future__ import annotations
 
@@ -12,19 +12,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from fide_lab import optimizers, run as harness
 from fide_lab.baselines.evolution import Random
 from fide_lab.run import Keep
-from fide_lab.run.loop import marks
 from fide_plugins import losses
 from fide_plugins.errors import PointsError
 from fide_plugins.recording.record import rounds
 from fide_plugins.types import Float64
 
 TARGET = np.random.default_rng(0).random((6, 8, 3)).astype(np.float32)
-KEEP = Keep(metrics=("mse", "loi"), film=True, summary=False, checkpoint=False)
+KEEP = Keep(metrics=("mse", "loi"), summary=False, checkpoint=False)
 
 
 class Tint:
@@ -77,28 +75,6 @@ def test_losses_that_are_nan_improve_nothing() -> None:
     assert len(result.metrics["mse"]) == len(result.improvements)
 
 
-def test_the_film_shows_the_best_image_at_each_mark(tmp_path: Path) -> None:
-    task = Tint()
-    result = harness.run(task, "cma", budget=120, out=tmp_path, keep=KEEP)
-    assert {int(p.stem[6:]) for p in tmp_path.glob("frame-*.png")} == {1, 3, 10, 30, 100, 120}
-    for mark in marks(120):
-        best = task.images[int(result.losses[:mark].argmin())]
-        with Image.open(tmp_path / f"frame-{mark}.png") as png:
-            np.testing.assert_array_equal(np.asarray(png), np.rint(best * 255).astype(np.uint8))
-
-
-def test_large_frames_are_reduced(tmp_path: Path) -> None:
-    class Wall(Tint):
-        target = np.zeros((100, 400, 3), np.float32)
-
-        def render(self, X: Float64, seed: Any = None) -> Any:
-            return np.broadcast_to(X[:, None, None, :], (len(X), 100, 400, 3)).astype(np.float32)
-
-    harness.run(Wall(), "random", budget=1, out=tmp_path, keep=KEEP)
-    with Image.open(tmp_path / "frame-1.png") as png:
-        assert png.size == (160, 40)
-
-
 def test_all_of_it_survives_an_interruption(tmp_path: Path) -> None:
     settings: dict[str, Any] = {"budget": 230, "seed": 1, "options": {"popsize": 70}, "keep": KEEP}
     harness.run(Tint(), "cma", **settings, out=tmp_path / "whole")
@@ -136,8 +112,10 @@ def test_watching_takes_none_of_the_run_s_time() -> None:
 
     run = harness.prepare(Tint(), "random", budget=40, keep=Keep())
     run._metrics = {"slow": Slow()}  # type: ignore[dict-item]
+    start = time.perf_counter()
     result = run.execute()
-    assert result.watch_s >= 0.05 > result.wall_s
+    assert result.watch_s >= 0.05
+    assert result.wall_s + result.watch_s <= time.perf_counter() - start
 
 
 def test_generations_are_what_was_asked_at_once() -> None:
