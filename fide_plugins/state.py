@@ -252,12 +252,19 @@ class State:
         self._go_on(stage)
 
     def finish_stage(
-        self, members: list[Candidate], losses: Float64, samples: list[TrainingSample]
+        self,
+        members: list[Candidate],
+        losses: Float64,
+        samples: list[TrainingSample],
+        target: torch.Tensor,
     ) -> None:
-        """Learn from a generation that was of no search; its losses (k,) and samples."""
+        """Learn from a generation that was of no search; its losses (k,) and samples.
+
+        target: tokens (T, C), as they were compared.
+        """
         asked = {candidate.index for candidate in members}
         own = [sample for sample in samples if sample.index in asked]
-        self._go_on(self.moves.learn(own, members[int(np.argmin(losses))].x))
+        self._go_on(self.moves.learn(own, members[int(np.argmin(losses))].x, target))
 
     def _go_on(self, stage: Stage) -> None:
         """Forget the generation; begin another search, if that comes next."""
@@ -265,8 +272,19 @@ class State:
         self.population.forget_pending()
         if stage is Stage.SEARCH:
             self._begin_search()
+        elif stage is Stage.DESCENT:
+            self.scales.begin_at(self.moves.descents.share)
         elif stage is Stage.RESTART and self.moves.begins_coarse:
             self.scales.begin()
+
+    def begin_descents(self) -> bool:
+        """Begin descents at the best renders, `kept`, if there are to be any; returns whether."""
+        kept = self.kept
+        if kept is None or not len(kept) or not self.moves.descends:
+            return False
+        found = list(zip(kept.losses.tolist(), kept.x, strict=True))
+        self._go_on(self.moves.begin_descents(found))
+        return True
 
     # -- coarse to fine ----------------------------------------------------------------------------
 
@@ -314,6 +332,7 @@ class State:
         """Compare sharp images from now on; a coarse search goes on as a sharp one."""
         coarse = self.blur > 0
         self.scales.give_up()
+        self.moves.descends = False
         self._let_moves_know()
         if coarse:
             self.population.close_generation()

@@ -13,9 +13,9 @@ seen them, a search from a random place that begins coarse is one of the moves f
 hardly agree with the losses, the first search begins again at once, coarse.  Elsewhere nothing
 changes.
 
-A photograph needs it more often (``photo=True``).  Where its renders say what they draw, all searches
-begin coarse: at the blurs that leave enough of the renders' contrast, since a board of squares that
-is blurred to one gray has no place.
+A photograph needs it more often (``photo=True``).  Where its renders say what they draw, all
+searches begin coarse: at the blurs that leave enough of the renders' contrast, since a board of
+squares that is blurred to one gray has no place.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class ScaleSpace:
         self, views: Views, *, possible: bool, at_once: bool = False, photo: bool = False
     ) -> None:
         self._views, self._photo = views, photo
-        self.blurs = BLURS
+        self.blurs: tuple[float, ...] = BLURS
         """Of a search that begins coarse and those that follow it, in sides of the image."""
         self.asked = at_once and possible
         """Whether all searches are as patient as pictures need that no render equals."""
@@ -153,6 +153,10 @@ class ScaleSpace:
     def begin(self) -> None:
         """Begin coarse."""
         self.left = list(self.blurs)
+
+    def begin_at(self, share: float) -> None:
+        """Compare at one blur, in sides of the image, and no other after it; 0: sharp."""
+        self.left = [share] if share else []
 
     def go_on(self) -> float:
         """Take the next blur; returns how wide the search with it may begin, of the first one."""

@@ -54,6 +54,7 @@ class Stage(StrEnum):
     REMOVAL = "removal"
     SENSITIVITY = "sensitivity"
     RESTART = "restart"
+    DESCENT = "descent"
 
 
 @dataclass(frozen=True, slots=True)

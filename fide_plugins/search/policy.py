@@ -14,7 +14,8 @@ The incumbent is the best local optimum, until moves from it have failed often: 
 or a new search (`scene.Optima`).
 
 With a learned model the run begins in RESTART, where its hypotheses are rendered; searches begin at
-the best of them before other moves are chosen (`hypotheses`).  After that, where no image says
+the best of them before other moves are chosen (`hypotheses`).  Of a photograph DESCENT comes
+between, and first of all where there is a guess (`descents`).  After that, where no image says
 where to go on, the next search begins at once at a random place (`RandomRestart`).
 
 *A bandit chooses among moves.* The gain of a move is the fraction by which it lowered the loss, and
@@ -48,8 +49,15 @@ from fide_plugins.runtime.schema import (
     values,
     whole,
 )
+from fide_plugins.search.descents import Descents
 from fide_plugins.search.exchangeability import Exchangeability
-from fide_plugins.search.hypotheses import Hypotheses, Resample, elsewhere, probabilities
+from fide_plugins.search.hypotheses import (
+    AFTER_DESCENT,
+    Hypotheses,
+    Resample,
+    elsewhere,
+    probabilities,
+)
 from fide_plugins.search.mixed import AxisLayout, Mixed
 from fide_plugins.search.moves import (
     ChangeValue,
@@ -160,6 +168,7 @@ class MovePolicy:
     groups: declared exchangeable groups, see `exchangeability.check_groups`; None: to be found.
     layout: what is discrete or periodic in the cube; None: nothing.
     posterior: of a learned model; the run begins with its hypotheses.  None: there is no model.
+    descends: whether the run begins with descents, from these or else from x0.
 
     Raises OptionError for groups that are declared wrongly.
     """
@@ -175,6 +184,8 @@ class MovePolicy:
         groups: Sequence[Sequence[int]] | None = None,
         layout: AxisLayout | None = None,
         posterior: Posterior | None = None,
+        *,
+        descends: bool = False,
     ) -> None:
         dim = len(x0)
         axes = Axes(dim, layout)
@@ -207,6 +218,11 @@ class MovePolicy:
         self.stage, self.move = self.hypotheses.first
         """What the present generation is for; the move under way, None in the first search."""
         self.start = Start(x0, self.known.sigma0)
+        self.descents = Descents(axes, self.known.place)
+        self.descends = descends and self.descents.possible
+        """Whether a run begins with descents."""
+        if self.descends and self.stage is Stage.SEARCH:
+            self.begin_descents([(0.0, x0)])
         self.noise: float | None = None
         """Standard deviation of the loss of the first local optimum; None: it was not measured."""
         self.loss_only_searches = 0
@@ -384,6 +400,8 @@ class MovePolicy:
             return known.removal.draw(known.current.x, known.exchangeability.blocks, rng)
         if self.stage is Stage.SENSITIVITY:
             return known.sensitivity.draw(known.current.x, rng)
+        if self.stage is Stage.DESCENT:
+            return self.descents.draw()
         return self._the_move.draw(known, self._candidates, rng)
 
     @property
@@ -391,16 +409,23 @@ class MovePolicy:
         """Whether `draw` gives other candidates each time, which are as good as the first ones."""
         return self.stage is Stage.RESTART and self._the_move.has_more
 
-    def learn(self, samples: Sequence[TrainingSample], best: Float64) -> Stage:
+    def learn(
+        self, samples: Sequence[TrainingSample], best: Float64, target: Tensor | None = None
+    ) -> Stage:
         """Learn from a generation that was no search's; return what comes next.
 
         samples: those of its candidates whose images are known, with parameters as they were asked.
         best: (d,), the candidate with the lowest loss, as it was asked.
+        target: tokens (T, C), as blurred as those of the samples; None: they are sharp.
         """
         known = self.known
+        if self.stage is Stage.DESCENT:
+            return self._descend(samples, known.target if target is None else target)
         if self.stage is Stage.RESTART and self._the_move is self.hypotheses:
             found = [(sample.loss, sample.x) for sample in samples]
             self.hypotheses.learn(found, best, known.exchangeability.distance)
+            if self.descends and found:
+                return self.begin_descents(found)
             return self._begin_at_hypothesis()
         if self.stage is Stage.RESTART:
             self._begin_at(self._most_promising(samples, best))
@@ -418,6 +443,23 @@ class MovePolicy:
         else:
             known.sensitivity.learn(known.current, samples)
         return self._go(Stage.RESTART)
+
+    def begin_descents(self, found: Sequence[tuple[float, Float64]]) -> Stage:
+        """Begin descents at the best of points that were found, as loss and x (d,)."""
+        self.descents.begin(found)
+        return self._go(Stage.DESCENT)
+
+    def _descend(self, samples: Sequence[TrainingSample], target: Tensor) -> Stage:
+        """Learn from a round of descents; searches begin where these end, the best first."""
+        self.descents.learn(samples, target)
+        if self.descents.under_way:
+            return self._go(Stage.DESCENT)
+        if self.hypotheses.available:
+            self.hypotheses.replace(self.descents.x)
+            return self._begin_at_hypothesis()
+        std = np.minimum(self.known.sigma0, AFTER_DESCENT)
+        self.start = replace(self.start, mean=self.descents.x[0].copy(), std=std)
+        return self._go(Stage.SEARCH)
 
     def _most_promising(self, samples: Sequence[TrainingSample], best: Float64) -> Float64:
         """Return the candidate (d,) at which the search begins.
@@ -458,6 +500,7 @@ class MovePolicy:
             "optima": known.optima.state_dict(),
             "choice": self._choice.state_dict(),
             "hypotheses": self.hypotheses.state_dict(),
+            "descents": self.descents.state_dict(),
             **{name: getattr(known, name).state_dict() for name in _FOUND},
         }
 
@@ -482,6 +525,7 @@ class MovePolicy:
             if known.incumbent is not None and np.array_equal(optimum.sample.x, known.incumbent.x):
                 known.incumbent = optimum.sample
         self.hypotheses.load_state_dict(state["hypotheses"])
+        self.descents.load_state_dict(state["descents"])
         self._choice.load_state_dict(state["choice"])
         for name in _FOUND:
             getattr(known, name).load_state_dict(state[name])
@@ -495,7 +539,10 @@ class MovePolicy:
             raise ValueError(f"moves['move'] is {move!r}, which is none of {', '.join(moves)}")
         if stage in (Stage.RESTART, Stage.REMOVAL, Stage.SENSITIVITY) and move is None:
             raise ValueError(f"moves['move'] is None in the stage {stage.value!r}")
-        free = stage is Stage.RESTART and not moves[move].from_incumbent
+        if stage is Stage.DESCENT and state["descents"]["round"] >= self.descents.rounds:
+            raise ValueError("moves['stage'] is 'descent', and all rounds are over")
+        free = stage is Stage.DESCENT
+        free = free or (stage is Stage.RESTART and not moves[move].from_incumbent)
         if stage is not Stage.SEARCH and not free and state["incumbent"] is None:
             raise ValueError(f"moves['incumbent'] is None in the stage {stage.value!r}")
         if stage is Stage.REMOVAL and state["exchangeability"]["blocks"] is None:
