@@ -14,6 +14,7 @@ import os
 import statistics
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 from unittest import mock
@@ -23,8 +24,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import moves
 from rows import Row, read, run_missing
 
+from fide_plugins.proposers import linear
 from fide_plugins.search.moves import (
-    Crossover,
     HalfTurn,
     Known,
     Move,
@@ -33,14 +34,11 @@ from fide_plugins.search.moves import (
     RelocateGroup,
     RelocateSegment,
     Split,
-    Swap,
 )
 
 MARKS = ("500", "1000", "2000", "4000")
 NOTHING_PROPOSED: dict[str, Any] = {
     "proposal_fraction": 0.0,
-    "smallest_fraction": 0.0,
-    "largest_fraction": 0.0,
     "fraction_rate": 0.0,
 }
 
@@ -48,11 +46,13 @@ NOTHING_PROPOSED: dict[str, Any] = {
 class Change(NamedTuple):
     """Options of FIDE without steps that differ from their defaults, and moves that are left out.
 
+    linear: arguments of the linear proposer.
     budget: renders, where not all can be afforded.
     """
 
     options: dict[str, Any]
     without: tuple[type[Move], ...] = ()
+    linear: dict[str, Any] = {}  # noqa: RUF012 - not a class attribute
     budget: int = 4000
 
 
@@ -67,8 +67,6 @@ CONFIGURATIONS: dict[str, Change] = {
     "restarts anew": Change({"restarts": "anew"}),
     "one search to the end": Change({"restarts": "none"}),
     "no split": Change({}, without=(Split,)),
-    "no swap": Change({}, without=(Swap,)),
-    "no crossover": Change({}, without=(Crossover,)),
     "no half turn": Change({}, without=(HalfTurn,)),
     "no relocation": Change({}, without=(RelocateGroup, RelocateSegment)),
     "no refinement": Change({}, without=(Refine,)),
@@ -79,12 +77,10 @@ CONFIGURATIONS: dict[str, Change] = {
     "channels: the first 3": Change({"channel_subsets": (3,)}),
     "channels: all 20": Change({"channel_subsets": (20,)}),
     "encoder: patch": Change({"encoder": "patch"}),
-    "weights: the best tenth counts": Change({"rank_weight_scale": 0.1}),
-    "source: the best candidate only": Change({"sources": 1}),
-    "all of the way, no noise": Change(
-        {"shortest_step": 1.0, "longest_step": 1.0, "sample_noise": 0.0}
-    ),
-    "no R2 threshold": Change({"r2_threshold": 0.0}),
+    "weights: the best tenth counts": Change({}, linear={"rank_weight_scale": 0.1}),
+    "source: the best candidate only": Change({}, linear={"sources": 1}),
+    "all of the way, no noise": Change({}, linear={"step": (1.0, 1.0), "noise": 0.0}),
+    "no R2 threshold": Change({}, linear={"r2_threshold": 0.0}),
     "proposal fraction fixed at 0.3": Change({"fraction_rate": 0.0}),
     "images not guarded": Change({"guard_images": False}),
     "injected candidates not guarded": Change({"guard_search": False}),
@@ -141,7 +137,8 @@ def planned_runs(arguments: argparse.Namespace) -> Iterator[Row]:
 def run(planned_run: Row) -> Row:
     """One run of FIDE with that change."""
     change = CONFIGURATIONS[planned_run["configuration"]]
-    with moves_left_out(change.without):
+    changed = partial(linear.LinearProposer, **change.linear)
+    with moves_left_out(change.without), mock.patch.object(linear, "LinearProposer", changed):
         return moves.run(planned_run, "fide", NO_STEPS | change.options)
 
 

@@ -92,7 +92,6 @@ RUNS: dict[str, Run] = {
         for name, p, seed in (("voronoi", VORONOI, 0), ("spline", SPLINE, 1))
     },
     "paper": partial(fide, **PAPER),
-    "paper, in the foreground": partial(fide, **PAPER, background_training=False),
     "paper, in pieces": partial(pieces, steps=30, preset="paper", popsize=20, epochs=2),
     "diffusion with restarts": partial(
         fide, proposer="diffusion", popsize=12, epochs=2, patience=3, evaluations=360

@@ -5,10 +5,9 @@
                                                       # of any budget of the suite
     python benchmarks/suite.py --table
     python benchmarks/suite.py --picture docs/images/suite.png          # data profile
-    python benchmarks/suite.py --picture docs/images/suite_performance.png --performance
     python benchmarks/suite.py --page runs/suite/report.html             # all of them on a page
     python benchmarks/suite.py --budget 2000 --scenes arm,lens --optimizers dfols
-    python benchmarks/suite.py --suite image-fitting-v2   # or -v3
+    python benchmarks/suite.py --suite image-fitting-v2   # or -v3, image-fitting-foreign-v1
 
 `fide compare --suite` keeps every run in a folder of its own; here it is one line of the output
 file: the render that solved the problem, and the lowest loss at each budget.  So runs of several
@@ -48,7 +47,6 @@ from fide_lab.suite.page import (
     by_scene,
     data_profile_figure,
     lowest,
-    performance_profile_figure,
     totals,
     write_scores,
 )
@@ -82,7 +80,7 @@ def label_of(optimizer: str) -> str:
 
 def file_of(suite: Suite) -> Path:
     """Of each suite its own: problems of two suites have the same names."""
-    return RESULTS / f"suite_{suite.name.rpartition('-')[2]}.jsonl"
+    return RESULTS / f"suite_{suite.name.removeprefix('image-fitting-').replace('-', '_')}.jsonl"
 
 
 def planned(
@@ -248,20 +246,13 @@ def _each(values: Iterable[str]) -> str:
     return ", ".join(sorted(set(values)))
 
 
-def picture(found: Scores, *, performance: bool) -> bytes:
-    """Data profile, or performance profile at the last budget, as PNG."""
-    if performance:
-        return plots.png(performance_profile_figure(found, found.labels, found.budgets[-1]))
-    return plots.png(data_profile_figure(found, found.labels))
-
-
 def show(found: Scores, rows: Sequence[Row], arguments: argparse.Namespace) -> None:
     """Write a picture or a page of what was found, or print its tables.
 
     rows: among which are those of `found`.
     """
     if arguments.picture:
-        arguments.picture.write_bytes(picture(found, performance=arguments.performance))
+        arguments.picture.write_bytes(plots.png(data_profile_figure(found, found.labels)))
     elif arguments.page:
         runs = longest(rows, found.labels, found.budgets[-1]).values()
         used = [row for row in runs if row["problem"] in found.problems]
@@ -323,7 +314,6 @@ def parse_arguments() -> argparse.Namespace:
     add("--table", action="store_true")
     add("--picture", type=Path, metavar="PNG")
     add("--page", type=Path, metavar="HTML", help="page as that of fide compare --suite")
-    add("--performance", action="store_true", help="a performance profile as picture")
     return parser.parse_args()
 
 

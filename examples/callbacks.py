@@ -1,4 +1,4 @@
-"""Watch a fit: a callback of your own, MLflow, Weights & Biases, TensorBoard; all of them offline.
+"""Watch a fit: a callback of your own, MLflow, Weights & Biases; all of them offline.
 
 Those that are not installed are skipped.
 """
@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from fide_plugins import Float, Space, fit
 from fide_plugins.errors import DependencyError
 from fide_plugins.fitting.callbacks import Event, Run
-from fide_plugins.fitting.callbacks.tensorboard import TensorBoard
 from fide_plugins.fitting.result import Result
 
 yy, xx = np.mgrid[0:48, 0:48] / 47
@@ -86,7 +85,7 @@ def main() -> None:
     folder = Path("runs/callbacks")
     folder.mkdir(parents=True, exist_ok=True)
     callbacks: list[Any] = [say]
-    for make in (MLflow, WeightsAndBiases, TensorBoard):
+    for make in (MLflow, WeightsAndBiases):
         try:
             callbacks.append(make(folder))
         except (ImportError, DependencyError) as error:

@@ -38,7 +38,6 @@ def main() -> None:
                 "preset": "paper",
                 "epochs": epochs,
                 "popsize": args.popsize,
-                "background_training": False,  # so that the time includes all training
             },
         )
         half = result.losses[: args.budget // 2].min()

@@ -1,9 +1,7 @@
 """Nevergrad's `minimize` with FIDE on a Dask cluster: workers render, this process searches.
 
 Two worker processes on this machine replace a cluster; use ``Client("tcp://scheduler:8786")`` for a
-real one.  The workers compute the features of their renders and send these, since a large image
-would dominate the traffic.  (Images on a shared disk can be passed by name,
-``ImageLoss(loss, image=ImageRef(path))``.)
+real one.  Large images on a shared disk can be passed by name, ``ImageLoss(loss, ImageRef(path))``.
 """
 
 from __future__ import annotations
@@ -13,19 +11,17 @@ import numpy as np
 from distributed import Client, LocalCluster
 
 import fide_tasks
-from fide_adapters.nevergrad import DaskExecutor, ImageLoss, ParametrizedFIDE
-from fide_plugins import encoders
+from fide_adapters.nevergrad import ImageLoss, ParametrizedFIDE
 
 BUDGET, WORKERS = 200, 2
 
 
 def objective(**parameters: float) -> ImageLoss:
-    """Loss and features of four Voronoi cells; runs in a worker."""
+    """Loss and image of four Voronoi cells; runs in a worker."""
     task = fide_tasks.make("voronoi", cells=4, size=64, seed=0)
     x = np.array([parameters[f"p{i}"] for i in range(task.dim)])
-    image = task.render(x[None])  # (1, H, W, 3)
-    loss = float(((image[0] - task.target) ** 2).mean())
-    return ImageLoss(loss, features=encoders.make("dense")(image)[0].numpy())
+    image = task.render(x[None])[0]
+    return ImageLoss(float(((image - task.target) ** 2).mean()), image)
 
 
 def main() -> None:
@@ -37,7 +33,7 @@ def main() -> None:
     optimizer = ParametrizedFIDE(target=task.target)(parametrization, BUDGET, WORKERS)
     settings = {"n_workers": WORKERS, "threads_per_worker": 1, "dashboard_address": ":0"}
     with LocalCluster(**settings) as cluster, Client(cluster) as client:  # type: ignore[no-untyped-call]
-        best = optimizer.minimize(objective, executor=DaskExecutor(client))
+        best = optimizer.minimize(objective, executor=client.get_executor(pure=False))
     print(f"MSE {best.loss:.5f} after {optimizer.num_tell} renders by {WORKERS} workers")
 
 

@@ -11,21 +11,17 @@ import tempfile
 from pathlib import Path
 
 from fide_lab import compare
-from fide_lab.sweep import Grid, best_within, front, read, write_tables
+from fide_lab.sweep import best_within, combinations_of, configurations, front, write_tables
 
 
 def main() -> None:
-    grid = Grid(
-        ("voronoi",),
-        {"preset": ["fast", "balanced"], "popsize": [10, 30], "size": [32]},
-        seeds=2,
-        budget=400,
-        task_options={"cells": 3},
+    swept = configurations({"preset": ["fast", "balanced"], "popsize": [10, 30]})
+    plan = compare.Plan(
+        ("voronoi",), swept, seeds=2, budget=400, size=32, task_options={"cells": 3}
     )
     with tempfile.TemporaryDirectory() as folder:
-        for name, plan in grid.plans():
-            compare.run(plan, Path(folder, name))
-        combinations = read(Path(folder))
+        compare.run(plan, folder)
+        combinations = combinations_of(compare.read(folder))
         print(write_tables(Path(folder), combinations))
     for point in front(combinations, "renders"):
         print(f"{point.cost:5.0f} renders: {point.loss:.5f} with {point.combination.label}")

@@ -1,7 +1,7 @@
 """What an optimizer does when its images are compared in another way from now on.
 
-Losses and tokens of before are then of another comparison: none of them is kept as if it were of
-the new one.  The best renders are (`comparison.kept`), and are compared anew.
+No loss and no token of before is kept; the best renders are (`comparison.kept`), and are compared
+again.
 """
 
 from __future__ import annotations

@@ -1,9 +1,4 @@
-"""Every error the library raises on purpose.
-
-Each class is a :class:`FideError` and also the builtin exception a reader of Python would expect,
-so ``except ValueError`` and ``except FideError`` both work.  A message states the rule that was
-broken, the value that broke it, and the remedy.
-"""
+"""Every error the library raises on purpose: a `FideError`, and the builtin exception that fits."""
 
 from __future__ import annotations
 

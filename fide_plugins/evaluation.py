@@ -28,12 +28,7 @@ from fide_plugins.views import Views
 from fide_plugins.views.encoder import encoder_of
 from fide_plugins.views.loss import loss_of
 
-__all__ = ["Evaluation", "Evaluator", "Images", "Result"]
-
-Images: TypeAlias = Float32
-"""A canonical image or batch."""
-
-Result: TypeAlias = tuple[Float64, float, Images | None, torch.Tensor | None, float]
+Result: TypeAlias = tuple[Float64, float, Float32 | None, torch.Tensor | None, float]
 """x (d,), loss, image (H, W, 3), tokens (T, C) of one candidate, and what the search is told."""
 
 
@@ -47,16 +42,16 @@ class Evaluation:
     """
 
     losses: Float64
-    images: Images | None
+    images: Float32 | None
     tokens: torch.Tensor | None
-    batch: Images | None = None
+    batch: Float32 | None = None
     blur: float = 0.0
     told: Float64 | None = None
 
     def of(self, points: Float64, first: int = 0) -> Iterator[Result]:
         """One result for each of the points (n, d), from the first on."""
         nothing = [None] * (len(points) - first)
-        images: Iterable[Images | None] = nothing if self.images is None else self.images[first:]
+        images: Iterable[Float32 | None] = nothing if self.images is None else self.images[first:]
         tokens = nothing if self.tokens is None else [one.clone() for one in self.tokens[first:]]
         losses, told = self.losses[first:], self.losses if self.told is None else self.told
         each = losses.tolist(), images, tokens, told[first:].tolist()
@@ -109,7 +104,8 @@ class Evaluator:
         self.loss = loss_of(self.views, loss, device=device)
         self.encoder = encoder_of(self.views, _made(encoder, device, for_network))
         self._how: dict[str, Any] = {}
-        self._adapts_light = photometric == "auto" or (photo and photometric is None)
+        self.adapts_light = photometric == "auto" or (photo and photometric is None)
+        """Whether the images say which light is set aside."""
         self.comparison: Comparison | None = None
         """How renders are compared with a target that the renderer did not draw; None: as is."""
         if photo or not (photometric is None and robust is None and background is None):
@@ -127,19 +123,17 @@ class Evaluator:
         loss_at = None if name is None else partial(loss_of, loss=name, device=self._device)
         return Comparison(self.views, self.loss, loss_at, **how)
 
-    @property
-    def adapts_light(self) -> bool:
-        """Whether the images say which light is set aside."""
-        return self._adapts_light
+    def _copy(self) -> Evaluator:
+        other = copy.copy(self)
+        for cached in ("_compared", "_blurred"):
+            other.__dict__.pop(cached, None)
+        return other
 
     def comparing(self, state: Mapping[str, Any] | None) -> Evaluator:
-        """The same that compares as its `comparison.state_dict` said; None: as it began.
-
-        Raises ValueError for what is no such state.
-        """
+        """The same that compares as a `comparison.state_dict` said; ValueError if it is none."""
         if state is None:
             return self
-        other = copy.copy(self)
+        other = self._copy()
         other.comparison = other._compared_by(**{**self._how, **checked(state)})
         other.target_tokens = other.encoder.compute(other.comparison.target()[None])[0]
         return other
@@ -165,7 +159,7 @@ class Evaluator:
         """What explains most of the difference of an image (H, W, C) and the target, in words."""
         from fide_plugins.comparison.mismatch import explanation
 
-        comparison = self.comparison or self._compared_by()
+        comparison = self._compared
         adjusts = (comparison.light != "none", comparison.scale is not None)
         views = comparison.leftovers(image)
         said = [explanation(*one, agreed=agreed, adjusts=adjusts) for one in views]
@@ -173,8 +167,7 @@ class Evaluator:
 
     def residual(self, image: Float32) -> list[Float32]:
         """What is left of each view, (H, W) in [0, 1]; image: (H, W, C), with its coverage."""
-        comparison = self.comparison or self._compared_by()
-        return comparison.residual(image)
+        return self._compared.residual(image)
 
     def shown(self, image: Float32) -> Float32:
         """An image (H, W, C) for people: in the light of the target, over it where it is free."""
@@ -196,9 +189,7 @@ class Evaluator:
                 f"the loss {self.loss.name!r} was given as an object, which may be for the old "
                 "target only; give the one for the new target: retarget(picture, loss=...)"
             )
-        other = copy.copy(self)
-        for cached in ("_blurring", "_blurred"):
-            other.__dict__.pop(cached, None)
+        other = self._copy()
         other.views, other.target = views, views.target
         other.loss = loss_of(views, loss or self.loss_name, device=self._device)
         other.encoder = encoder_of(views, self.encoder)
@@ -222,17 +213,11 @@ class Evaluator:
     @property
     def versions(self) -> dict[str, str | None]:
         """Of encoder and loss: they change whenever features or losses of an image do."""
-        return {
-            "encoder": self.encoder.version,
-            "loss": self.loss.version,
-            "loss_name": self.loss_name,
-        }
+        encoder, loss = self.encoder.version, self.loss.version
+        return {"encoder": encoder, "loss": loss, "loss_name": self.loss_name}
 
     def check_versions(self, saved: Mapping[str, object]) -> None:
-        """Raise CheckpointError unless saved features and losses are of the versions used here.
-
-        A ValueError for what are no versions.  Versions of a user's own loss are not known.
-        """
+        """Raise CheckpointError unless saved features and losses are of the present versions."""
         own = self.versions
         check(saved, dict.fromkeys(own, anything), {}, "versions")
         self.encoder.check_version(saved["encoder"])
@@ -244,13 +229,8 @@ class Evaluator:
             )
 
     def as_batch(
-        self,
-        n: int,
-        images: object,
-        losses: object,
-        features: object,
-        on_clip: OnClip,
-    ) -> Images | None:
+        self, n: int, images: object, losses: object, features: object, on_clip: OnClip
+    ) -> Float32 | None:
         """Images of n candidates, (n, H, W, 3), packed if there are several views, or None.
 
         With a fourth channel, the coverage, where renders have one and it is used.
@@ -270,7 +250,7 @@ class Evaluator:
     def evaluate(
         self,
         n: int,
-        batch: Images | None,
+        batch: Float32 | None,
         losses: object = None,
         features: object = None,
         *,
@@ -286,18 +266,23 @@ class Evaluator:
         Raises LossError or FeaturesError.
         """
         told = batch
+        if batch is None and losses is None:
+            raise LossError("a loss of images needs images; got none")
+        values, tokens, shown = None, None, batch
         if batch is not None and self.comparison is not None:
             compared = self.comparison.compare(batch)
-            batch = batch[..., :3]
-            values = compared.losses if losses is None else as_losses(losses, n)
-            tokens = self.encoder.compute(compared.images) if encode else None
-        else:
-            values = self._cost(batch) if losses is None else as_losses(losses, n)
-            tokens = self.encoder.compute(batch) if encode and batch is not None else None
+            batch, shown, values = batch[..., :3], compared.images, compared.losses
+        if losses is not None:
+            values = as_losses(losses, n)
+        elif values is None and batch is not None:
+            values = self.loss.compute(batch)
+        if encode and shown is not None:
+            tokens = self.encoder.compute(shown)
         if features is not None:
             shape = (n, *self.features_shape)
             taken = as_features(features, shape, self.encoder, version=version)
             tokens = taken if encode else None
+        assert values is not None
         return Evaluation(values, batch, tokens, told)
 
     def at_blur(self, results: Evaluation, blur: float, *, encode: bool = True) -> Evaluation:
@@ -311,7 +296,7 @@ class Evaluator:
         if not blur:
             again = self.evaluate(len(batch), batch, results.losses, encode=encode)
             return replace(results, tokens=again.tokens, blur=0.0, told=None)
-        compared = self._blurring.compare(batch, blur)
+        compared = self._compared.compare(batch, blur)
         tokens = self.encoder.compute(compared.images) if encode else None
         return replace(results, tokens=tokens, blur=blur, told=compared.losses)
 
@@ -320,19 +305,15 @@ class Evaluator:
         if not blur:
             return self.target_tokens
         if blur not in self._blurred:
-            shown = self._blurring.target(blur)
+            shown = self._compared.target(blur)
             self._blurred[blur] = self.encoder.compute(shown[None])[0]
         return self._blurred[blur]
 
     @cached_property
-    def _blurring(self) -> Comparison:
+    def _compared(self) -> Comparison:
+        """A comparison, also where renders are compared as they are."""
         return self._compared_by() if self.comparison is None else self.comparison
 
     @cached_property
     def _blurred(self) -> dict[float, torch.Tensor]:
         return {}
-
-    def _cost(self, batch: Images | None) -> Float64:
-        if batch is None:
-            raise LossError("a loss of images needs images; got none")
-        return self.loss.compute(batch)

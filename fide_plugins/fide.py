@@ -1,44 +1,19 @@
-"""FIDE: feature-informed diffusion evolution (Algorithm 1 of the paper), by ask and tell.
+"""FIDE: feature-informed diffusion evolution, Algorithm 1 of the paper, by ask and tell.
 
-=====================================  ======================================================
-Algorithm 1                            here
-=====================================  ======================================================
-line 1, mu and Sigma                   `search.cma_es.CMAES`
-line 2, the denoiser                   a `Proposer`: `proposers.linear`, `.forward`, `.diffusion`
-line 4, sample                         `FIDE._draw_samples`
-line 5, denoise                        `FIDE.make_proposals`, of some of these samples
-line 6, render                         the user, between `ask` and `tell`
-line 7, features                       `FIDE.tell`, by an encoder
-line 8, train                          `FIDE._train`; before a proposal, `FIDE._train_early`
-line 9, costs                          `FIDE.tell`, by a loss or the user
-line 10, mu and Sigma                  `FIDE._update_search`
-line 12, return mu                     `FIDE.recommend`
-between two generations, steps         `FIDE._make_steps`: a forward model trains, proposes
-after a search, restart                `State.finish_search`, `search.moves`
-=====================================  ======================================================
-
-The last two are beyond Algorithm 1.  The forward model of the steps is not the forward proposer:
-that one trains in line 8 and proposes in line 5 (`proposers.forward`).
-
-What other methods are, in these terms: CMA-ES is FIDE with nothing proposed
-(``proposer="none"``); the published method is ``preset="paper"``; a direct inverse predictor is a
-proposer without evolution (`baselines.posterior_sampler`).
-
-All that changes while an optimizer runs is its `state` (`fide_plugins.state`).
+Comments name its lines.  All that changes while an optimizer runs is its `state`; steps between the
+generations and moves after a search (`State.finish_search`) are beyond Algorithm 1.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from torch import Tensor
 
 from fide_plugins import encoders
-from fide_plugins.comparing import adapt_light
-from fide_plugins.comparison.kept import Kept
 from fide_plugins.comparison.scale_space import ScaleSpace
 from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.evaluation import Evaluation, Evaluator
@@ -53,8 +28,9 @@ from fide_plugins.runtime.threads import Lock, one_at_a_time, one_thread
 from fide_plugins.saving import Saved
 from fide_plugins.search.cma_es import default_popsize
 from fide_plugins.search.memory import Memory
+from fide_plugins.search.moves import Stage
 from fide_plugins.search.one_search import Search, Setting
-from fide_plugins.search.policy import MovePolicy, Stage
+from fide_plugins.search.policy import MovePolicy
 from fide_plugins.search.scene import APART
 from fide_plugins.space import Space
 from fide_plugins.space.constraints import constraints_not_stored
@@ -85,19 +61,11 @@ _ROUGHLY = 0.1  # standard deviation of a guess from which descents begin, at mo
 _COARSEST = 16  # pixels: smaller pictures are not blurred
 _STALLED = 20  # generations without improvement; or a quarter of all evaluations, if that is more
 
+Decision: TypeAlias = tuple[bool | None, bool | None]
+"""Whether a search is over, and whether images say where the next begins, as others have decided.
 
-class Decision(NamedTuple):
-    """What others have decided about the end of a generation (`distributed`).
-
-    over: whether the present search is over.  guided: whether images say where the next one
-    begins.  None: the optimizer decides.
-    """
-
-    over: bool | None = None
-    guided: bool | None = None
-
-
-_UNDECIDED = Decision()
+None: the optimizer decides (`distributed`).
+"""
 
 
 class FIDE(Saved):
@@ -118,17 +86,15 @@ class FIDE(Saved):
         images to (n, T, C) features; None: the preset's own.
     mask, weights
         which pixels count: (H, W) in [0, 1], or any gray picture; "alpha": that of the target; for
-        views a list of them, None for a view without, or a single one for all, if they have its
-        size; both: their product (`fide_plugins.views`).
+        views a list of them, None for a view without, or one for all; both: their product.
     value_range
-        two numbers, the values of target and renders that are black and white, or "auto"
-        (`fide_plugins.views`); None: 0 and 1, for uint8 0 and 255.
+        two numbers, the values of target and renders that are black and white, or "auto";
+        None: 0 and 1, for uint8 0 and 255.
     popsize
         candidates a generation, at least 4; None: the preset's own.
     x0
-        (dim,), a guess: it is asked first, and the first search begins around it; with a `Space`
-        also a dictionary of values, as its `decode` gives it.  None: the search begins around 0.5
-        in each parameter, which is not asked.
+        (dim,), a guess, with a `Space` also a dictionary of values: it is asked first, and the
+        first search begins around it.  None: that begins around 0.5, which is not asked.
     sigma0
         its standard deviation there: one number, or one for each parameter.
     preset
@@ -140,12 +106,11 @@ class FIDE(Saved):
         are networks; with none of them, an encoder and its tokens stay where the images are.
     learned
         model of this renderer, or its file, see `fide_plugins.learn`: its hypotheses of the target
-        are rendered first, after x0 if that is given, and the best are where the first searches
-        begin.
+        are rendered first, after x0, and the best are where the first searches begin.
     constraints
         function of the parameters (a dictionary with a `Space`, else x of shape (dim,)) that
         returns True where they are valid, or margins: a number or several, <= 0 where they are.
-        `ask` gives valid points only; those of the space's own `constraints` are respected, too.
+        `ask` gives valid points only; the space's own `constraints` are respected, too.
     **options
         any other option, see `fide_plugins.options`.
 
@@ -219,12 +184,12 @@ class FIDE(Saved):
             validity.check_guess(self.guess)
         return validity
 
-    # -- line 1, and line 2 ------------------------------------------------------------------------
+    # -- line 1: mu and Sigma; line 2: the denoiser ------------------------------------------------
 
     def _initial_state(self, posterior: Posterior | None = None) -> State:
         """Lines 1 and 2; posterior: of a learned model, where the search begins."""
         o, k = self.options, self.popsize
-        subsets = channel_subsets(o.proposal, self.encoder)
+        subsets = channel_subsets(o, self.encoder)
         layout = None if self.space is None else self.space.layout
         setting = Setting(k, np.broadcast_to(self.sigma0, self.dim), o, layout, self.validity)
         groups: Sequence[Sequence[int]] | None = o.groups
@@ -246,6 +211,11 @@ class FIDE(Saved):
         if moves.stage is Stage.DESCENT:
             scales.begin_at(moves.descents.share)
         moves.start = scales.patient(moves.start)
+        kept = None
+        if self.evaluator.comparison is not None:
+            from fide_plugins.comparison.kept import Kept
+
+            kept = Kept(self.dim)
         return State(
             rng=np.random.default_rng(self.seed),
             population=Population(),
@@ -257,7 +227,7 @@ class FIDE(Saved):
             memory=Memory(o.memory_mb),
             grain=Grain(self.views),
             scales=scales,
-            kept=Kept(self.dim) if self.evaluator.comparison is not None else None,
+            kept=kept,
         )
 
     def _descends(self, *, learned: bool) -> bool:
@@ -287,8 +257,6 @@ class FIDE(Saved):
         None: what is left of the present generation, or, if all of it is pending, as many again,
         for users with more workers than that.  As soon as what is pending will complete the
         generation, candidates are drawn for the next one (`State.preview_search`).
-        Generations have `popsize` candidates; after a search has stalled there may be others, see
-        `search.moves`.
         Who asks for a number may get Gauss-Newton steps before a generation (`proposers.forward`).
         """
         n = None if n is None else whole_number("n", n, 1)
@@ -305,20 +273,14 @@ class FIDE(Saved):
     @one_at_a_time
     @one_thread
     def ask_ready(self) -> Float64:
-        """As `ask`, but for proposals that wait for training: those come with the next call.
-
-        While these are rendered the network trains, see `proposers.diffusion`.  Between two
-        generations: one step.
-        """
+        """As `ask`, but between two generations one step alone: the next one knows its result."""
         with timed(self.times, "search"):
             if len(step := self._make_steps(1)):
                 self._hand_out_steps(step)
                 return step
-            state, population = self.state, self.state.population
-            if not population.remaining:
+            if not self.state.population.remaining:
                 self.draw_generation()
-        waits = state.proposer is not None and not state.proposer.lazy
-        return self.ask(population.queued if waits and population.queued else population.remaining)
+        return self.ask(self.state.population.remaining)
 
     def _ask(self, n: int | None) -> Float64:
         """Candidates (n, dim) of this generation and of those that follow; None: what is left."""
@@ -358,28 +320,22 @@ class FIDE(Saved):
             population.draw(x, x)
         if state.steps is not None:
             state.steps.end()  # they come before a generation, not in it
-        proposer = state.proposer
-        if proposer is not None and not proposer.background and not proposer.lazy:
+        if state.proposer is not None and not state.proposer.lazy:
             self.make_proposals(population, state.rng)
         if first is not None and state.stage is Stage.SEARCH:  # in the place of its first samples
             x = state.search.clipped(first)[: population.remaining]
             population.replace(0, x, state.search.closest(x), proposed=np.zeros(len(x), bool))
 
     def draw(self, population: Population, rng: np.random.Generator) -> None:
-        """Draw a generation of the present stage, by `rng`, into a population; only these change.
+        """Line 4: draw a generation, by `rng`, into a population, its own or another's.
 
-        It is the optimizer's own population, or another one (`distributed`).
+        The last samples of a search are reserved for the proposer, if it is ready.
         """
         state = self.state
-        if state.stage is Stage.SEARCH:
-            self._draw_samples(population, rng)
-        else:
+        if state.stage is not Stage.SEARCH:
             x = state.draw_moves(rng)
             population.draw(x, x)
-
-    def _draw_samples(self, population: Population, rng: np.random.Generator) -> None:
-        """Line 4: sample, and reserve the last samples for the proposer, if it is ready."""
-        state = self.state
+            return
         k = state.search.popsize
         x, z = state.search.sample(k, rng)  # (k, d), z ~ N(m, Sigma)
         ready = state.proposer is not None and state.proposer.ready
@@ -391,8 +347,8 @@ class FIDE(Saved):
     ) -> None:
         """Line 5: denoise what a population has reserved, until n candidates are queued; None: all.
 
-        Those that are asked for together are made by one call of the proposer; of one that is not
-        `lazy`, all of them.  If that raises, the next call tries again.  rng: of the proposer.
+        Of a proposer that is not `lazy`, all of them at once.  If that raises, the next call tries
+        again.  rng: of the proposer.
         """
         m, proposer = len(population.reserved), self.state.proposer
         if proposer is None or not m or (n is not None and n <= population.queued):
@@ -416,8 +372,7 @@ class FIDE(Saved):
         """Make the next n candidates of those that remain, each for the generation that needs it.
 
         What the present one does not need any more is drawn again, for the next one, as many of
-        them proposals as before.  A proposer that is asked for all of a generation at once is left
-        to do that.
+        them proposals as before.
         """
         state, population = self.state, self.state.population
         needed = max(0, population.size - population.evaluated - population.awaited)
@@ -436,33 +391,30 @@ class FIDE(Saved):
     def _make_steps(self, n: int) -> Float64:
         """Steps (m, dim) that come before the next generation, at most n."""
         state, search, target = self.state, self.state.search, self._seen_target
+        none = np.empty((0, self.dim))
         if not state.has_steps:
-            return np.empty((0, self.dim))
+            return none
         assert state.steps is not None
         with timed(self.times, "train"):
             left = state.steps.left(search.popsize, target, search.std)
             if not left:
-                return np.empty((0, self.dim))
+                return none
             _, z = search.sample(min(n, left), state.rng)
-            v = search.stretched(z)
-            x = state.steps.propose(v, target, search.mean, search.std, state.rng)
+            v, model = search.stretched(z), state.steps.forward
+            x = model.propose(v, target, search.mean, search.std, state.rng)
         return state.steps.new_ones(search.place_proposals(x, z), state.population.is_pending)
 
     def _hand_out_steps(self, x: Float64) -> None:
         """Count steps (m, dim) as asked."""
         state = self.state
-        if len(x):
-            assert state.steps is not None
+        if len(x) and state.steps is not None:
             state.steps.taken(len(x))
         for row in zip(x, state.search.closest(x), strict=True):
             state.population.adopt(*row, CandidateRole.STEP)
 
     @one_at_a_time
     def withdraw(self, X: object) -> None:
-        """Say that candidates X (n, dim) that were asked will not be told: nobody waits for them.
-
-        Others count in their place.  Points that are not pending are ignored.  Raises PointsError.
-        """
+        """Say that nobody waits for candidates X (n, dim) that were asked; raises PointsError."""
         for x in as_points(X, self.dim):
             self.state.population.withdraw(x)
 
@@ -488,23 +440,20 @@ class FIDE(Saved):
         images
             (n, H, W, C) or a list of n images, of the target's size, or of n tuples (image,
             coverage), coverage (H, W) in [0, 1]; for a list of targets a list of these, one for
-            each view; None: only losses are known, and the proposer does not learn from these
-            points.
+            each view; None: only losses are known, and the proposer does not learn from them.
         losses
-            (n,), the lower the better; None: the optimizer's own loss of the images.
+            (n,), the lower the better; None: the optimizer's own loss of the images.  Those that
+            are NaN or infinite rank last and are counted in `not_finite`.
         features
-            (n, T, C), in place of the images: their tokens by the optimizer's encoder, computed
-            elsewhere; losses must then be given.
+            (n, T, C), in place of the images: their tokens by the optimizer's encoder; losses must
+            then be given.
         version
             of the encoder that made the features, which must be the optimizer's; None: you vouch.
 
         Points that were never asked (a warm start, a guess) are welcome: the proposer learns from
-        them, they can become `best`, and the best of those told during a generation of a search (or
-        before one) is injected: it takes the place of the worst candidate if it is better than
-        that, its step cut to what a sample's may be.  A point that was asked may come back in
-        single precision.
-
-        Losses that are NaN or infinite rank last and are counted in `not_finite`.
+        them, they can become `best`, and the best of those told during a generation takes the place
+        of its worst candidate if it is better, its step cut to what a sample's may be.  A point
+        that was asked may come back in single precision.
 
         Raises
         ------
@@ -513,30 +462,31 @@ class FIDE(Saved):
             told so far are on another scale than the target.
         """
         points = as_points(X, self.dim)
-        n, evaluator = len(points), self.evaluator
+        n, evaluator, given = len(points), self.evaluator, losses is not None
         clipping = self.state.clipping.copy()
         batch = evaluator.as_batch(n, images, losses, features, clipping)
         with timed(self.times, "encode"):  # lines 7 and 9
-            encode = self._encodes and (self.state.blur == 0.0 or losses is not None)
+            encode = self._encodes and (self.state.blur == 0.0 or given)
             results = evaluator.evaluate(n, batch, losses, features, version=version, encode=encode)
         self.state.clipping = clipping
-        if losses is not None and n:  # of a user: not at any blur
+        if given and n:  # of a user: not at any blur
             self.state.stay_sharp()
-        if self.state.kept is not None and batch is not None:
-            at, given = self.state.evaluations, losses is not None
-            self.state.kept.note(points, batch, results.losses, at, given=given)
+        kept = self.state.kept
+        if kept is not None and batch is not None:
+            kept.note(points, batch, results.losses, self.evaluations, given=given)
         self.enter(points, results)
-        if self.state.kept is not None:
+        if kept is not None:
+            from fide_plugins.comparing import adapt_light
+
             adapt_light(self)
         return results.losses
 
     @one_at_a_time
     @one_thread
-    def enter(self, points: Float64, results: Evaluation, decision: Decision = _UNDECIDED) -> None:
-        """Enter results of points (n, dim); each generation that becomes complete is finished.
-
-        decision: what others have decided about the end of that generation.
-        """
+    def enter(
+        self, points: Float64, results: Evaluation, decision: Decision = (None, None)
+    ) -> None:
+        """Enter results of points (n, dim), and finish generations, as `decision` says."""
         self.same_images.note(points, results.images, results.losses)
         with timed(self.times, "search"):
             self._enter_all(points, results, decision)
@@ -624,14 +574,12 @@ class FIDE(Saved):
     def recommend(self) -> Float64:
         """Mean (dim,) of the search distribution that found the best point (line 12).
 
-        The best point itself if no search found it: a sensitivity sample, a restart candidate, a
-        point that was never asked; also where the mean violates a constraint.
+        The best point itself if no search found it, or where the mean violates a constraint.
         """
         best = self.state.best
         mean = self.state.search.mean if best is None else best.mean
         recommended: Float64 = self.state.search.render_mean(mean)
-        validity = self.validity
-        if best is None or validity is None or validity.allows(recommended):
+        if best is None or self.validity is None or self.validity.allows(recommended):
             return recommended
         return best.solution.x.copy()
 
@@ -642,30 +590,35 @@ class FIDE(Saved):
     def best(self) -> Solution | None:
         """Best point told so far; None before the first with a finite loss.
 
-        Its `params` are named where the optimizer was made with a `Space`.  Its `std` is what is
-        known now, and computed when it is read (`fide_plugins.uncertainty`): None where too few
-        images near the point are remembered.
+        Its `params` are named where the optimizer was made with a `Space`; its `std` is by what is
+        known now, and computed when it is read (`fide_plugins.uncertainty`).
         """
         best = self.state.best
         if best is None:
             return None
         image = self.views.restored(self.views.unpacked(best.solution.image))
+        seen = self._best_image
+        light = None
+        if self.state.kept is not None and seen is not None:
+            light = self.evaluator.light_of(seen)
         estimate = self.state.estimate_of(best.solution.x)
         found = replace(best.solution, image=image, space=self.space, estimate=estimate)
-        if self.state.kept is not None and best.solution.image is not None:
-            light = self.evaluator.light_of(self.state.kept.image_of(best.solution))
-            found = replace(found, photometric=light)
-        return found.copy()
+        return replace(found, photometric=light).copy()
+
+    @property
+    def _best_image(self) -> Any:
+        """Image (H, W, C) of the best point, with its coverage where that is known, or None."""
+        best, kept = self.state.best, self.state.kept
+        if best is None or best.solution.image is None:
+            return None
+        return best.solution.image if kept is None else kept.image_of(best.solution)
 
     @one_at_a_time
     def adjust(self, images: object) -> Any:
         """Images as they are compared with the target: in its light, at the present blur, robust.
 
-        images: as `tell` takes them.  Without `photometric`, `robust`, `background` and `photo`
-        they stay as they are.
-
-        Returns (n, H, W, 3), for a list of targets a list of these; values may leave [0, 1], or the
-        range of values.  Raises ImageError.
+        images: as `tell` takes them.  Returns (n, H, W, 3), for a list of targets a list of these;
+        values may leave [0, 1], or the range of values.  Raises ImageError.
         """
         return self.evaluator.adjusted(images)
 
@@ -677,10 +630,9 @@ class FIDE(Saved):
         Absolute difference of target and best image, in the light of the target where that is
         adjusted: mean of the channels, 0 where a mask has zeros or the image covers nothing.
         """
-        best, kept = self.state.best, self.state.kept
-        if best is None or best.solution.image is None:
+        image = self._best_image
+        if image is None:
             return None
-        image = best.solution.image if kept is None else kept.image_of(best.solution)
         left = self.evaluator.residual(image)
         return left if self.views.listed else left[0]
 
@@ -711,27 +663,19 @@ class FIDE(Saved):
             low=state.clipping.low,
             high=state.clipping.high,
         )
-        if status_of(facts).code in ("stalled", "unsure", "agreed") and not facts.same:
-            facts = replace(facts, mismatch=self._mismatch(status_of(facts).code == "agreed"))
-        return status_of(facts)
-
-    def _mismatch(self, agreed: bool) -> str | None:
-        """What explains most of what is left, in words; agreed: whether searches ended there."""
-        best, kept = self.state.best, self.state.kept
-        if best is None or best.solution.image is None:
-            return None
-        image = best.solution.image if kept is None else kept.image_of(best.solution)
-        return self.evaluator.mismatch(image, agreed=agreed)
+        status, seen = status_of(facts), self._best_image
+        if status.code in ("stalled", "unsure", "agreed") and not facts.same and seen is not None:
+            why = self.evaluator.mismatch(seen, agreed=status.code == "agreed")
+            return status_of(replace(facts, mismatch=why))
+        return status
 
     @one_at_a_time
     def solutions(self, k: int = 5) -> list[Solution]:
         """Up to k distinct candidates, best first: where searches have ended.
 
-        The later ones may be far worse than the best; a loss near its loss is as good an answer.
         Exchangeable blocks are matched first, so that no order of the same things counts twice.
-        Each has its own `std`, as `best` has.
-        `probability` is that among those found, by a learned model and by their losses (see
-        `search.hypotheses`); None where no model knows the picture.
+        Each has its own `std`.  `probability` is that among those found, by a learned model and by
+        their losses (`search.hypotheses`); None where no model knows the picture.
 
         Raises OptionError (a ValueError) unless k is a whole number of at least 1.
         """
@@ -747,22 +691,9 @@ class FIDE(Saved):
         points = np.array([one.x for one in found]).reshape(len(found), self.dim)
         probability = self.state.moves.probabilities([one.loss for one in found], points)
         if probability is not None:
-            found = [
-                replace(one, probability=p)
-                for one, p in zip(found, probability.tolist(), strict=True)
-            ]
+            pairs = zip(found, probability.tolist(), strict=True)
+            found = [replace(one, probability=p) for one, p in pairs]
         return found[:k]
-
-    @one_at_a_time
-    def elsewhere(self, solutions: Sequence[Solution]) -> float | None:
-        """Share of a model's hypotheses that are far from all these solutions of this optimizer.
-
-        Probabilities of `solutions` are relative to each other: one alone has 1.  A large share
-        here says that the model takes other answers for possible, which no search has reached, or
-        which were rendered and excluded.  None where no model knows the picture.
-        """
-        points = np.array([one.x for one in solutions]).reshape(len(solutions), self.dim)
-        return self.state.moves.elsewhere(points)
 
     @property
     def evaluations(self) -> int:
@@ -778,11 +709,6 @@ class FIDE(Saved):
     def times(self) -> dict[str, float]:
         """Seconds spent so far in "encode" (features and losses), "train" and "search"."""
         return self.state.times
-
-    @property
-    def training(self) -> bool:
-        """Whether the network learns in the background; saving and proposals would wait for it."""
-        return self.state.proposer is not None and self.state.proposer.busy
 
     @property
     def target(self) -> Any:
@@ -832,10 +758,7 @@ class FIDE(Saved):
     # -- where searches begin, and the next picture ------------------------------------------------
 
     def _model_of(self, learned: Any, target: Any) -> tuple[Model | None, Posterior | None]:
-        """A learned model, or that of a file, and what it says of a target, as the seed draws it.
-
-        Raises and warns as `learned` of the constructor.
-        """
+        """A learned model, or that of a file, and what it says of a target."""
         if learned is None:
             return None, None
         from fide_plugins.learning.hypotheses import as_model, posterior_of
@@ -851,7 +774,7 @@ class FIDE(Saved):
 
     @one_at_a_time
     def begin_at(self, x: Float64) -> None:
-        """Begin the first search at x (dim,), which may have been told; candidates are forgotten.
+        """Begin the first search at x (d,), which may have been told; candidates are forgotten.
 
         Where something else comes first, such as hypotheses of a learned model, nothing happens.
         """
@@ -884,20 +807,13 @@ class FIDE(Saved):
 
         The search begins at the candidate whose image, of all that are remembered, is nearest to
         the picture, as wide as parameters have to move for it (`search.recall`).  This candidate is
-        asked first.  Proposers know the remembered images from the first generation on.  `best`,
-        `solutions`, `status` and the local optima begin again; `evaluations` goes on, and what is
-        known of the scene stays: exchangeable blocks, the noise of a pixel.  Candidates that are
-        still out may be told, with images or with the loss to the new picture: they count as points
-        that were never asked.  Told with the loss to the old picture, one may become a false
-        `best`.
+        asked first; where nothing is remembered, the best point so far.  Proposers know the
+        remembered images from the first generation on.  `best`, `solutions`, `status` and the local
+        optima begin again; `evaluations` goes on, and what is known of the scene stays.  Candidates
+        that are still out may be told, with images or with the loss to the new picture.
 
-        With a model its hypotheses of the picture are rendered after the remembered candidates, and
-        the best of all is where the search begins.  The run goes on as one that began with a model:
-        without steps between the generations.  Where the remembered candidates say more exactly
-        than the model where the parameters are, as those of a slow video do, there are none.
-
-        Without tokens (``proposer="none"``, or losses only) the search begins at the best point so
-        far, as wide as the first one, and this point is asked first.
+        With a model its hypotheses are rendered after the remembered candidates, unless these say
+        more exactly than the model where the parameters are; there are no steps then.
 
         Raises ImageError, LossError, UnknownNameError or OptionError (ValueErrors), OSError or
         CheckpointError for a file that is no model, before anything changes.
@@ -920,10 +836,7 @@ class FIDE(Saved):
             self.draw_generation(recalled.hypotheses)
 
     def _use_model_only(self) -> None:
-        """Go on as a run that began with a model: a search begins after its hypotheses.
-
-        Nothing is taught: proposers forget what was before that search.
-        """
+        """Go on as a run that began with a model: proposers forget what was before."""
         state = self.state
         state.gate.note_known()
         state.steps = None
@@ -940,10 +853,7 @@ class FIDE(Saved):
         return None if digest is None else (self.options.encoder, digest)
 
     def settings(self) -> dict[str, Any]:
-        """Arguments of the constructor, by name, but for `loss` and `device`, as plain values.
-
-        The target is in [0, 1], whatever the user's values are.
-        """
+        """Arguments of the constructor, but for `loss` and `device`; the target is in [0, 1]."""
         given = {name: getattr(self, name) for name in _ARGUMENTS}
         given |= {"target": self.views.targets, "x0": self.guess}
         space = None if self.space is None else self.space.to_dict()
@@ -989,19 +899,15 @@ class FIDE(Saved):
         before = self.evaluator
         self.evaluator = before.comparing(state.pop("comparison"))
         try:
-            self.state = self._restored(state)
+            fresh = self._initial_state()
+            (height, width, _), (tokens, channels) = self.views.target.shape, self.features_shape
+            sides = {"d": self.dim, "H": height, "W": width, "T": tokens, "C": channels}
+            fresh.load_state_dict(state, sides, self.encoder.device)
         except BaseException:
             self.evaluator = before
             raise
+        self.state = fresh
         self.same_images.forget()
-
-    def _restored(self, state: Mapping[str, Any]) -> State:
-        """State that `State.state_dict` gave."""
-        (height, width, _), (tokens, channels) = self.views.target.shape, self.features_shape
-        sides = {"d": self.dim, "H": height, "W": width, "T": tokens, "C": channels}
-        fresh = self._initial_state()
-        fresh.load_state_dict(state, sides, self.evaluator.encoder.device)
-        return fresh
 
     @classmethod
     def check_settings(cls, settings: Mapping[str, Any]) -> None:

@@ -1,10 +1,6 @@
-"""Options of FIDE, and the presets.
+"""Options of FIDE, each by its own name, whichever group it is in; and the presets.
 
-`paper` is the published method, literally.  The other presets trade time for accuracy; what each of
-them brings is measured in `lab/reports/speed.md`.
-
-`FIDE` takes every option by its own name, whichever group it is in.  Few users need more than those
-of `Options` itself; the groups hold what ablations change.
+`paper` is the published method, literally; `lab/reports/speed.md` measures what the others bring.
 """
 
 from __future__ import annotations
@@ -16,18 +12,6 @@ from typing import Any, TypeAlias
 
 from fide_plugins.errors import OptionError, UnknownNameError
 from fide_plugins.validation import options as rules
-
-__all__ = [
-    "PAPER_SCHEDULE",
-    "PRESETS",
-    "NetworkOptions",
-    "Options",
-    "ProposalOptions",
-    "check_known",
-    "flat",
-    "make_options",
-    "without_images",
-]
 
 Rule: TypeAlias = rules.Rule
 
@@ -44,37 +28,22 @@ class ProposalOptions:
     """The linear proposer, and how many candidates are proposed.
 
     proposal_fraction: of a generation that is proposed at first.
-    smallest_fraction, largest_fraction, fraction_rate: limits and speed of its adaptation, see
-        `proposers.image_gate`; rate 0 keeps it as it is.
+    fraction_rate: speed of its adaptation, see `proposers.image_gate`; 0 keeps it as it is.
     channel_subsets: sets of leading channels of the tokens, such as (3, 16); empty: the encoder's
         own.  Moves compare images in the first of them.
     buffer_generations: generations that the linear proposer remembers; None: 4, but 8 of few
         parameters (d <= k); 3 in preset "fast"; of many (d > 4 k) at least 3 d / 2 candidates;
         600 candidates at most.
-    select_tokens: leave out tokens that do not vary, see `proposers.feature_buffer`.
     screening: predict a parameter from the tokens that show it, where that is better, see
         `proposers.screening`; None: where the search begins at hypotheses of a learned model.
-        Without effect of at most k parameters, or of very many or many channels (`affordable`).
-    rank_weight_scale, ridge, sources, shortest_step, longest_step, sample_noise, r2_threshold:
-        see `proposers.linear`.
+        Without effect of at most k parameters, or of very many or many channels.
     """
 
     proposal_fraction: float = _option(0.3, rules.fraction)
-    smallest_fraction: float = _option(0.05, rules.fraction)
-    largest_fraction: float = _option(0.8, rules.fraction)
     fraction_rate: float = _option(0.1, rules.fraction)
-
     channel_subsets: tuple[int, ...] = _option((), rules.whole_numbers)
     buffer_generations: int | None = _option(None, rules.whole(1))
-    select_tokens: bool = _option(True, rules.switch)
     screening: bool | None = _option(None, rules.switch)
-    rank_weight_scale: float = _option(0.5, rules.positive)
-    ridge: float = _option(0.02, rules.positive)
-    sources: int = _option(5, rules.whole(1))
-    shortest_step: float = _option(0.3, rules.positive)
-    longest_step: float = _option(1.2, rules.positive)
-    sample_noise: float = _option(0.5, rules.not_negative)
-    r2_threshold: float = _option(0.05, rules.fraction)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,19 +52,13 @@ class NetworkOptions:
 
     epochs, learning_rate, batch_size, schedule: see `proposers.diffusion`; at most 10,000 epochs.
     steps: of denoising, evenly, in place of the schedule; at most 1,000, as levels of a schedule.
-    precision: "float32" or "bfloat16", see `denoiser.network`.
-    parameter_tokens: of the network; None: one for each parameter, see `denoiser.network`.
     """
 
-    # A generation of 10,000 epochs takes minutes even of the smallest network.  Beyond 1,000 steps
-    # there is nothing between two levels of noise.
     epochs: int = _option(20, rules.whole(1, 10_000, "4 to 20 are published"))
     learning_rate: float = _option(1e-3, rules.positive)
     batch_size: int = _option(50, rules.whole(1))
     schedule: tuple[float, ...] = _option(PAPER_SCHEDULE, rules.schedule)
     steps: int | None = _option(None, rules.whole(1, 1000, "3 are published"))
-    precision: str = _option("float32", rules.one_of("float32", "bfloat16"))
-    parameter_tokens: int | None = _option(None, rules.whole(1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,8 +80,6 @@ class Options:
     guard_images: let images guide the search, by proposals, moves and `patience`, only as far
         as they agree with the losses, see `proposers.image_gate`; otherwise it is CMA-ES.
     guard_search: cut injected steps and limit the standard deviation, see `search.cma_es`.
-    background_training: train the network while the user renders, see `proposers.diffusion`; the
-        result is the same.
     coarse_to_fine: begin searches with blurred images, see `comparison.scale_space`; None: where
         the first candidates say that it helps, or with photo; True: from the first candidate on.
     memory_mb: MiB of tokens that are kept for `FIDE.retarget` and for `Solution.std`, see
@@ -143,7 +104,6 @@ class Options:
     groups: tuple[tuple[int, ...], ...] | None = _option(None, rules.groups)
     guard_images: bool = _option(True, rules.switch)
     guard_search: bool = _option(True, rules.switch)
-    background_training: bool = _option(True, rules.switch)
     coarse_to_fine: bool | None = _option(None, rules.switch)
     memory_mb: float = _option(8.0, rules.not_negative)
     photometric: str | None = _option(None, rules.one_of("exposure", "shading", "auto"))
@@ -181,7 +141,7 @@ PRESETS: Mapping[str, Options] = {
         guard_images=False,
         guard_search=False,
         coarse_to_fine=False,
-        proposal=ProposalOptions(proposal_fraction=0.5, fraction_rate=0.0, select_tokens=False),
+        proposal=ProposalOptions(proposal_fraction=0.5, fraction_rate=0.0),
     ),
 }
 
@@ -244,16 +204,11 @@ def _unknown(name: str, of: str = "FIDE", own: Sequence[str] = ()) -> str:
     """Error for a name that is no option; arguments as of `check_known`."""
     if name in (*_FIRST, *_OTHER_ARGUMENTS):
         return f"{name} is an argument of FIDE itself, not one of the options that are taken here"
-    most = [known for known in _FIRST if known not in own]
-    others = [f.name for f in fields(Options) if f.name not in (*_GROUPS, *_FIRST, *own)]
-    rare = [known for known, _ in _all_fields() if known not in (*_FIRST, *own, *others)]
-    close = get_close_matches(name, [*own, *most, *_OTHER_ARGUMENTS, *others, *rare], n=1)
+    others = [known for known, _ in _all_fields() if known not in (*own, *_FIRST)]
+    close = get_close_matches(name, [*own, *_FIRST, *_OTHER_ARGUMENTS, *others], n=1)
     hint = f" (did you mean {close[0]!r}?)" if close else ""
-    first = f"its own: {', '.join(own)}; of FIDE, those" if own else "those"
-    return (
-        f"{of} has no option {name!r}{hint}; {first} that matter most: {', '.join(most)}; "
-        f"others: {', '.join(others)}; for ablations also: {', '.join(rare)}"
-    )
+    known = ", ".join(dict.fromkeys([*own, *_FIRST, *others]))
+    return f"{of} has no option {name!r}{hint}; known are {known}"
 
 
 def _changed(options: Any, changes: Mapping[str, Any]) -> Any:
@@ -280,17 +235,9 @@ def _check_together(options: Options, preset: Options) -> None:
                 f"{name}={own[name]!r} is of the network, and the proposer {options.proposer!r} "
                 "has none: leave it out, or take preset='paper' or proposer='diffusion'"
             )
-    network, proposal = options.network, options.proposal
+    network = options.network
     if network.steps is not None and network.schedule != preset.network.schedule:
         raise OptionError(
             f"steps={network.steps} are even steps in place of a schedule: give steps or "
             "schedule, not both"
         )
-    _check_order(proposal, "smallest_fraction", "largest_fraction")
-    _check_order(proposal, "shortest_step", "longest_step")
-
-
-def _check_order(options: ProposalOptions, low: str, high: str) -> None:
-    lower, upper = getattr(options, low), getattr(options, high)
-    if lower > upper:
-        raise OptionError(f"{low}, {lower}, must not be above {high}, {upper}")

@@ -17,8 +17,6 @@ from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.schema import IMPOSSIBLE, check, whole
 from fide_plugins.runtime.threads import Lock, one_at_a_time, one_thread
 
-__all__ = ["Saved", "as_arrays"]
-
 _MOST = 2**20  # parameters, and candidates of a generation
 
 
@@ -75,10 +73,7 @@ class Saved(ABC):
     @one_at_a_time
     @one_thread
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a checkpoint from which `load` continues bit for bit; no pickle.
-
-        Raises OSError if the file cannot be written; an existing file then stays as it was.
-        """
+        """Write a checkpoint from which `load` continues bit for bit; no pickle; raises OSError."""
         checkpoint.write(path, self.name, self.snapshot())
 
     @one_at_a_time
@@ -123,12 +118,11 @@ class Saved(ABC):
         """Optimizer in the state that was saved at `path`.
 
         A checkpoint stores a loss and an encoder only by name: give a callable again as `loss` (or
-        tell losses) or `encoder`, of optimizers that have one.  A function of constraints is not
-        stored: without it FIDE can be read and told, but not asked.
+        tell losses) or `encoder`.  Without a function of constraints, which is not stored, FIDE can
+        be read and told, but not asked.
 
-        Raises OSError, or CheckpointError (a ValueError) if the file is truncated, damaged, of
-        another version, or of another optimizer; and the errors of the constructor for a wrong
-        `loss` or `device`.
+        Raises OSError, CheckpointError (a ValueError) if the file is damaged, of another version,
+        or of another optimizer; and the errors of the constructor for a wrong `loss` or `device`.
         """
         saved = checkpoint.read(path, cls.name)
         if device != "auto":
@@ -149,8 +143,8 @@ class Saved(ABC):
 
         Unlike `load` it needs no names: loss and encoder are those of this optimizer.
 
-        Raises OSError, or CheckpointError (a ValueError) if the file is truncated, damaged or of
-        another optimizer, or if its arguments were others; nothing changes then.
+        Raises OSError, or CheckpointError (a ValueError) as `load`, or if the arguments were
+        others; nothing changes then.
         """
         saved = checkpoint.read(path, self.name)
         with _possible(path):

@@ -1,7 +1,4 @@
-"""Distinct candidates of a run, best first, side by side: as a table and as a picture.
-
-They are read from a run directory; nothing in it is executed.
-"""
+"""Distinct candidates of a run directory, best first; nothing in it is executed."""
 
 from __future__ import annotations
 
@@ -16,8 +13,15 @@ import numpy as np
 from fide_plugins import encoders
 from fide_plugins.errors import CheckpointError, OptionError
 from fide_plugins.fitting.pictures import best_compared, picture, side_by_side
-from fide_plugins.recording.figures import figure_as_png, plain
-from fide_plugins.recording.parameters import Row, read_solutions, rows
+from fide_plugins.recording.figures import (
+    INK,
+    MUTED,
+    Panel,
+    draw_image,
+    figure_as_png,
+    plain,
+)
+from fide_plugins.recording.parameters import read_solutions, rows
 from fide_plugins.recording.storage import RunDirectoryError, is_saved, read_run, with_optimizer
 from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.plotting import new_figure
@@ -69,14 +73,12 @@ class Found:
     loss: name of the loss.
     target: (H, W, 3), views side by side.
     images: (H, W, 3) of each solution, None where none is stored.
-    elsewhere: share of a model's hypotheses that are far from all of them; None without a model.
     """
 
     loss: str
     target: Float32
     solutions: list[Solution]
     images: list[Float32 | None]
-    elsewhere: float | None = None
 
 
 def read(
@@ -114,7 +116,6 @@ def read(
         side_by_side(optimizer.views.targets),
         solutions,
         images,
-        optimizer.elsewhere(solutions),
     )
 
 
@@ -163,56 +164,31 @@ def _no_loss(images: Any) -> Any:
     return np.zeros(len(images[0] if isinstance(images, list) else images))  # a list of views
 
 
-_INK, _MUTED = "#1a1a1a", "#6b7280"
-_WIDTH = 2.4  # inches of one panel
-_LINE = 0.16  # inches of a line of text
 _MOST = 24  # lines of parameters
-_NO_IMAGE = "no image stored\n(fide fit renders them,\nfit(out=) does not)"
 
 
 def figure(found: Found) -> bytes:
-    """PNG of the target and the solutions, side by side; no window, no global state."""
-    table = rows(found.solutions)
-    shape = found.target.shape
-    panel = _WIDTH * shape[0] / shape[1]
-    lines = min(len(table), _MOST) + (len(table) > _MOST)
-    height = panel + 0.75 + _LINE * lines
-    columns = 1 + len(found.solutions)
-    canvas = new_figure(_WIDTH * columns * 1.06, height, dpi=110)
-    top = 1 - 0.5 / height
-    grid = canvas.add_gridspec(
-        1, columns, left=0.01, right=0.99, top=top, bottom=top - panel / height, wspace=0.06
-    )
-    _panel(canvas.add_subplot(grid[0, 0]), "target", "", found.target)
+    """PNG of the target and the solutions, side by side, with their parameters."""
+    table, columns = rows(found.solutions), 1 + len(found.solutions)
+    panel = 2.4 * found.target.shape[0] / found.target.shape[1]  # inches
+    text = 0.16 * min(len(table), _MOST + 1) + 0.2
+    canvas = new_figure(2.5 * columns, panel + text + 0.5, dpi=110)
+    canvas.set_layout_engine("constrained")
+    grid = canvas.subplots(2, columns, squeeze=False, height_ratios=[panel, text])
+    draw_image(grid[0, 0], Panel("target", found.target))
+    for axes in grid[1]:
+        axes.axis("off")
     for i, (solution, image) in enumerate(zip(found.solutions, found.images, strict=True)):
-        axes = canvas.add_subplot(grid[0, i + 1])
-        _panel(axes, f"{i + 1}", f"loss {solution.loss:.3g}", image)
-        _lines(canvas, axes, table, i, height)
+        note = f"loss {solution.loss:.3g}" if image is not None else "no image stored"
+        shown = np.ones_like(found.target) if image is None else image
+        draw_image(grid[0, i + 1], Panel(f"{i + 1}", shown, note))
+        lines = [(f"{row.label}  {row.values[i]}", row.determined) for row in table[:_MOST]]
+        if len(table) > _MOST:
+            lines.append((f"... {len(table) - _MOST} more", True))
+        for k, (line, determined) in enumerate(lines):
+            grid[1, i + 1].annotate(
+                plain(line), (0, 1), (0, -11.5 * k), "axes fraction", "offset points",
+                fontsize=7, color=INK if determined else MUTED, va="top",
+                style="normal" if determined else "italic",
+            )  # fmt: skip
     return figure_as_png(canvas)
-
-
-def _panel(axes: Any, name: str, note: str, image: Float32 | None) -> None:
-    axes.set_title(name, fontsize=10, color=_INK, loc="left", pad=4)
-    axes.set_title(note, fontsize=8, color=_MUTED, loc="right", pad=4)
-    if image is None:
-        axes.text(0.5, 0.5, _NO_IMAGE, fontsize=8, color=_MUTED, ha="center", va="center")
-    else:
-        axes.imshow(image, vmin=0, vmax=1, interpolation="nearest")
-    axes.set_xticks([])
-    axes.set_yticks([])
-    for spine in axes.spines.values():
-        spine.set_color("#d4d4d8")
-
-
-def _lines(canvas: Any, axes: Any, table: list[Row], i: int, height: float) -> None:
-    """Write the parameters of solution i below its image; muted, what is not determined."""
-    box = axes.get_position()
-    shown = [(f"{row.label}  {row.values[i]}", row.determined) for row in table[:_MOST]]
-    if len(table) > _MOST:
-        shown.append((f"... {len(table) - _MOST} more", True))
-    for k, (text, determined) in enumerate(shown):
-        canvas.text(
-            box.x0, box.y0 - (0.14 + _LINE * k) / height, plain(text),
-            fontsize=7, color=_INK if determined else _MUTED, va="top",
-            style="normal" if determined else "italic",
-        )  # fmt: skip

@@ -1,10 +1,4 @@
-"""Everything of an optimizer that changes while it runs, and what a checkpoint holds of it.
-
-`FIDE` carries one `State`.  Its parts know how to save themselves (`state_dict`) and what a saved
-state of theirs must look like (`load_state_dict`, `from_state`): a checkpoint is whole when its
-checksum agrees, and may still hold anything, since anybody can write one.  Here is what belongs to
-no part.  Whoever copies, previews or replicates an optimizer reads these fields, and nothing else.
-"""
+"""Everything of an optimizer that changes while it runs, and what a checkpoint holds of it."""
 
 from __future__ import annotations
 
@@ -15,9 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from fide_plugins.comparison.kept import Kept
 from fide_plugins.comparison.scale_space import NEXT, ScaleSpace
-from fide_plugins.evaluation import Images
 from fide_plugins.population import Candidate, CandidateRole, Population
 from fide_plugins.population.candidate import Best, TrainingSample, columns, in_order
 from fide_plugins.proposers import Proposer
@@ -32,23 +24,25 @@ from fide_plugins.runtime.schema import (
     each,
     form,
     maybe,
+    packed,
     real,
     row,
     saved,
     whole,
 )
 from fide_plugins.search.memory import Memory
+from fide_plugins.search.moves import Stage, Start
 from fide_plugins.search.one_search import Search
-from fide_plugins.search.policy import MovePolicy, Stage, Start
+from fide_plugins.search.policy import MovePolicy
 from fide_plugins.types import Estimate, Float32, Float64, Posterior, Solution
 from fide_plugins.validation.pixels import Clipping
 from fide_plugins.views.grain import Grain
 
 if TYPE_CHECKING:
+    from fide_plugins.comparison.kept import Kept
     from fide_plugins.proposers.forward import GaussNewtonSteps
     from fide_plugins.search.recall import Recalled
 
-__all__ = ["State"]
 
 _GAIN = 0.1  # of the loss, below which an improvement does not count
 _MOST_INJECTED = 1000  # points never asked that are remembered until a generation is complete
@@ -60,12 +54,13 @@ class State:
     """What an optimizer has asked, evaluated and learned.
 
     rng: of the search; nothing else draws from it.
-    population: the record of candidates.
-    search: the present search.
     moves: what the present generation is for, and where the next search begins.
     gate: how far images steer the search.
-    proposer: None where nothing is proposed.
-    steps: between generations; None where there are none.
+    proposer, steps: None where nothing is proposed, where there are no steps between generations.
+    grain: noise of pixels, measured where a test renders one candidate twice.
+    scales: the blur at which images are compared now.
+    kept: the best renders; None where images are compared as they are.
+    memory: samples for the next target and for `Solution.std`.
     searches: begun so far.
     evaluations: points told so far, and renders that were learned from before the search.
     not_finite: points told whose loss was NaN or infinite.
@@ -74,12 +69,8 @@ class State:
     samples: evaluated, not yet learned from.  learned: of this generation, learned from already.
     injected: best point (d,) told in this generation that was a step or never asked, and its loss.
     search_best: best since the last search was over.  over_at: evaluations at that time.
-    memory: samples for the next target and for `Solution.std`.
-    scales: the blur at which images are compared now.
-    grain: noise of pixels, measured where a test renders one candidate twice.
-    kept: the best renders; None where images are compared as they are.
-    comparisons: how often it was changed how they are compared.
-    retargeted_at: evaluations when the search for the present one began.
+    retargeted_at: evaluations when the search for the present target began.
+    comparisons: how often it was changed how images are compared.
     clipping: images with values outside [0, 1].
     times: seconds in "encode", "train" and "search".
     """
@@ -123,10 +114,7 @@ class State:
 
     @property
     def generation_is_fixed(self) -> bool:
-        """Whether the present generation needs exactly the candidates that were drawn for it.
-
-        That is so of tests.  Of a search, and of most restarts, any candidates will do.
-        """
+        """Whether the present generation, a test, needs exactly the candidates drawn for it."""
         return self.stage is not Stage.SEARCH and not self.moves.has_more
 
     @property
@@ -138,11 +126,8 @@ class State:
     def preview_search(self) -> Search | None:
         """Return the search as it would be updated now; nothing else changes.
 
-        Who asks when those told and those awaited are a whole generation renders for the next one,
-        and most results are known by then.  So a copy of the search is updated with these (line 10
-        of Algorithm 1), as if they were all there will be: it is much nearer to the next generation
-        than to the present one, and yet not of its distribution.
-
+        Who asks when those told and those awaited are a whole generation renders for the next one.
+        So a copy of the search is updated (line 10 of Algorithm 1) with what is known by then.
         None where too few results of the generation are known, or it is not of a search.
         """
         population = self.population
@@ -155,7 +140,7 @@ class State:
         self,
         x: Float64,
         loss: float,
-        image: Images | None,
+        image: Float32 | None,
         tokens: torch.Tensor | None,
         told: float,
     ) -> None:
@@ -175,13 +160,11 @@ class State:
             if tokens is not None:
                 sample = TrainingSample(number, exact.copy(), tokens, told, self.evaluations)
                 self._keep(sample)
-            if image is not None and self.scales.useful is None:
-                self.scales.note(number, exact, image.copy())
-            testing = self.stage is Stage.EXCHANGE
-            if image is not None and testing and np.array_equal(exact, self.moves.known.current.x):
-                self.grain.note(image.copy())
-            if candidate is None or candidate.role is CandidateRole.STEP:
-                self._inject(x, told)
+            if image is not None:
+                self._note_image(number, exact, image)
+            other = candidate is None or candidate.role is CandidateRole.STEP
+            if other and (self.injected is None or told < self.injected[1]):
+                self.injected = (x, told)
             if self.best is None or (loss, number) < (self.best.solution.loss, self.best.index):
                 shown = None if image is None else image.copy()
                 solution = Solution(x.copy(), loss, self.evaluations, shown)
@@ -190,10 +173,12 @@ class State:
         self.not_finite += not finite
         self.evaluations += 1
 
-    def _inject(self, x: Float64, loss: float) -> None:
-        """Note a point x (d,) that is no member of a generation."""
-        if self.injected is None or loss < self.injected[1]:
-            self.injected = (x, loss)
+    def _note_image(self, number: int, x: Float64, image: Float32) -> None:
+        """Note what the image of candidate `number`, x (d,), says of blurs and of noise."""
+        if self.scales.useful is None:
+            self.scales.note(number, x, image.copy())
+        if self.stage is Stage.EXCHANGE and np.array_equal(x, self.moves.known.current.x):
+            self.grain.note(image.copy())
 
     def _is_start(self, x: Float64) -> bool:
         """Whether the search began at x (d,): then x was given, or found before, not by it."""
@@ -294,9 +279,9 @@ class State:
         return self.scales.blur
 
     def is_over(self, *, guided: bool) -> bool:
-        """Whether the present search is over; a coarse one, too, where it is as narrow as its blur.
+        """Whether the present search is over; guided: whether images guide it.
 
-        guided: whether images guide it.  They do while they are blurred: the loss is of them.
+        A coarse one is, too, where it is as narrow as its blur.
         """
         if self.blur:
             reach = self.scales.reach
@@ -304,10 +289,7 @@ class State:
         return self.search.is_over(guided=guided or self.scales.asked)
 
     def begin_coarse(self, target: Float32) -> bool:
-        """Begin the first search again, coarse, if its first candidates say so.
-
-        target: packed.
-        """
+        """Begin the first search again, coarse, if its first candidates say so; target: packed."""
         start = self.moves.start.mean
         x = self.scales.decide(target, self.gate.agreement, start, self.kept)
         self._let_moves_know()
@@ -374,8 +356,6 @@ class State:
         """Forget what is of the old target only; search for another, tokens (T, C), from `start`.
 
         posterior: of the target, by a learned model; its hypotheses come before the search.
-
-        The memory stays, and what was found of the scene.
         """
         self.population.close_generation()
         self.population.forget_pending()
@@ -444,9 +424,9 @@ class State:
         )
 
     def estimate_of(self, x: Float64) -> Estimate | None:
-        """How well the parameters of a solution (d,) are known; None if no sample says that.
+        """How well the parameters of a solution (d,) are known, from what is remembered now.
 
-        It is computed when it is read, from what is remembered now.
+        It is computed when it is read; None if no sample says anything.
         """
         from fide_plugins.uncertainty import LocalEstimate
 
@@ -480,7 +460,7 @@ class State:
 
     def state_dict(self) -> dict[str, Any]:
         """All of it as nested dicts of arrays, tensors and numbers, those in use, not copies."""
-        state = {name: _packed(getattr(self, name)) for name in form(State)}
+        state = {name: packed(getattr(self, name)) for name in form(State)}
         return state | {"rng": self.rng.bit_generator.state, "times": dict(self.times)}
 
     def load_state_dict(self, state: Mapping[str, Any], sides: Sides, device: torch.device) -> None:
@@ -498,35 +478,23 @@ class State:
                 setattr(self, name, value)
         self.rng.bit_generator.state = state["rng"]
         self.population = Population.from_state(state["population"], sides["d"])
-        self.moves.load_state_dict(state["moves"], device)
-        self.scales.load_state_dict(state["scales"], sides)
-        self._let_moves_know()
-        start, setting = self.moves.start, self.search.setting
-        self.search = Search.from_state(state["search"], start, self._goal, setting)
-        self.gate.load_state_dict(state["gate"])
-        if self.proposer is not None:
-            self.proposer.load_state_dict(state["proposer"], sides)
-        elif len(self.population.reserved):
-            raise ValueError("candidates are reserved for proposals, and nothing is proposed")
         if state["steps"] is None:
             self.steps = None  # it was saved where there are none, as in a replica
-        elif self.steps is not None:
-            self.steps.load_state_dict(state["steps"], sides, device)
+        for name in ("moves", "gate", "proposer", "steps", "memory"):
+            if getattr(self, name) is not None:
+                getattr(self, name).load_state_dict(state[name], sides, device)
+        for name in ("scales", "grain", "kept"):
+            if getattr(self, name) is not None:
+                getattr(self, name).load_state_dict(state[name], sides)
+        if self.proposer is None and len(self.population.reserved):
+            raise ValueError("candidates are reserved for proposals, and nothing is proposed")
+        self._let_moves_know()
+        self.search = Search(self.moves.start, self._goal, self.search.setting)
+        self.search.load_state_dict(state["search"])
         self.best = None if state["best"] is None else Best.from_state(state["best"])
         self.samples = [sample(one) for one in state["samples"]]
         self.learned = [sample(one) for one in state["learned"]]
         self.injected = None if state["injected"] is None else tuple(state["injected"])
         self.search_best = None if state["search_best"] is None else sample(state["search_best"])
-        self.memory.load_state_dict(state["memory"], sides, device)
-        self.grain.load_state_dict(state["grain"], sides)
-        if self.kept is not None:
-            self.kept.load_state_dict(state["kept"], sides)
         self.clipping = Clipping.from_state(state["clipping"])
         self.times = dict(state["times"])
-
-
-def _packed(value: Any) -> Any:
-    """A part, a list of parts or a tuple as plain values; anything else as it is."""
-    if isinstance(value, list | tuple):
-        return [_packed(each) for each in value]
-    return value.state_dict() if hasattr(value, "state_dict") else value

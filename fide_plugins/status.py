@@ -1,8 +1,6 @@
 """What is known of a run at any time: a code for programs, a sentence for people.
 
-The answer is never that an optimum is global: no black box tells. What can be said is whether the
-loss still falls, whether searches from different starting points ended at the same answer, and
-whether what is left is the noise of the renderer.
+No black box tells that an optimum is global, and no sentence claims it.
 """
 
 from __future__ import annotations
@@ -40,23 +38,17 @@ class Status:
 class Facts:
     """What a status is made of.
 
-    evaluations: so far.
     best: lowest loss so far; None before the first finite one.
-    improved_at: evaluation of the last improvement by more than a tenth.
-    horizon: evaluations without such an improvement after which a run is no longer improving.
-    ended: how many searches ended in each of the distinct places, the best place first.  Only
-        those count that had begun elsewhere: not those of moves that keep most parameters.
-    forgotten: how many ended in other places, which are no longer remembered.
-    others: lowest loss of the other places; None: there is none.
-    apart: how far these are from the best place at most, in the parameter that differs most, as a
-        fraction of its range.
-    grain: standard deviation of a pixel, if the best image differs from the target by independent
-        noise of its pixels alone; None otherwise, and where nobody knows (`views.grain`).
+    improved_at: evaluation of the last improvement by more than a tenth; horizon: evaluations
+        without one after which a run is no longer improving.
+    ended: how many searches ended in each of the distinct places, the best place first; only those
+        that had begun elsewhere.  forgotten: in places that are no longer remembered.
+    others: lowest loss of the other places, if any; apart: how far these are from the best place,
+        in the parameter that differs most, as a fraction of its range.
+    grain: standard deviation of a pixel, if what is left is independent noise of pixels alone.
     solved: whether the image equals the target but for what no eye sees (`views.solved`).
-    same: how many candidates have had the same image, if all have, see `views.same_images`; 0
-        otherwise.
-    mismatch: what explains most of what is left, in words, where the renderer cannot draw the
-        target (`comparison.mismatch`); None: nothing is known of it.
+    same: how many candidates have had the same image, if all have; else 0 (`views.same_images`).
+    mismatch: what explains most of what is left, in words, where the renderer cannot draw it.
     clipped: images whose values went beyond black or white; low, high: the extremes of these.
     """
 
@@ -117,11 +109,11 @@ def status_of(facts: Facts) -> Status:
 def _stalled(best: float, facts: Facts) -> Status:
     stalled = f"No improvement since evaluation {facts.improved_at:,}: loss {best:.3g}."
     same, total = (facts.ended or [0])[0], sum(facts.ended) + facts.forgotten
+    searches = f"{same} of {total} searches from different starting points ended at this answer"
     if total == 0:
         return Status("stalled", f"{stalled} No search has ended so far: give more renders.")
     if same >= 3 and 2 * same > total:
-        what = f"{same} of {total} searches from different starting points ended at this answer."
-        return Status("agreed", f"{stalled} {what}")
+        return Status("agreed", f"{stalled} {searches}.")
     if total == 1:
         return Status(
             "stalled",
@@ -129,23 +121,11 @@ def _stalled(best: float, facts: Facts) -> Status:
             f"image shows that it is right, {_NEXT}.",
         )
     if same == total:
-        few = f"{total} searches from different starting points ended at this answer"
-        return Status("unsure", f"{stalled} {few}, too few to be sure: {_NEXT}.")
-    others = sum(n > 0 for n in facts.ended[1:])
-    number = f"more than {others}" if facts.forgotten else f"{others}"
-    return Status(
-        "unsure",
-        f"{stalled} Of {total} searches from different starting points {same or 'none'} ended at "
-        f"this answer, the others at {number}{_disagreement(facts)}, so there may be a better one: "
-        f"{_NEXT}.",
-    )
-
-
-def _disagreement(facts: Facts) -> str:
-    """How far the answers of the searches differ."""
-    if facts.others is None:
-        return ""
-    return (
-        f" (the best of these has loss {facts.others:.3g}; parameters differ by up to "
-        f"{facts.apart:.0%} of their range)"
-    )
+        return Status("unsure", f"{stalled} {searches}, too few to be sure: {_NEXT}.")
+    apart = ""
+    if facts.others is not None:
+        apart = (
+            f" (the best of the others has loss {facts.others:.3g}; parameters differ by up to "
+            f"{facts.apart:.0%} of their range)"
+        )
+    return Status("unsure", f"{stalled} {searches}{apart}, so there may be a better one: {_NEXT}.")

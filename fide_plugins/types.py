@@ -14,18 +14,6 @@ if TYPE_CHECKING:
     from fide_plugins.space import Space
     from fide_plugins.status import Status
 
-__all__ = [
-    "OPEN",
-    "Estimate",
-    "Estimated",
-    "Float32",
-    "Float64",
-    "Indices",
-    "Mask",
-    "Optimizer",
-    "Posterior",
-    "Solution",
-]
 
 Float64: TypeAlias = npt.NDArray[np.float64]
 """Parameters, losses and everything of the search."""
@@ -113,15 +101,12 @@ class Solution:
     def std(self) -> Float64 | None:
         """(dim,), standard deviation of each parameter, in units of the unit cube.
 
-        It says how far the truth may be from here: by the noise of the images, by what the search
-        has left, and by what the images do not show (at most 0.29, that of any value).  It is an
-        estimate by a linear model, no measurement, and local: of other basins it knows nothing.
-        That of `fit`'s `Result.best` is by renders around the answer, and counts what the renderer
-        cannot draw (`uncertainty.at_answer`); others are by samples of the search, and depend on
-        its path.  NaN on the axes of integers and choices; None where too few images are known.  It
-        is that of the time at which this solution was read of
-        the optimizer, whenever it is asked for.  Until then the solution keeps what the optimizer
-        remembered (`memory_mb`): of solutions that are collected over a run, read it at once.
+        It says how far the truth may be: by the noise of the images, by what the search has left,
+        and by what the images do not show (at most 0.29, that of any value).  It is an estimate by
+        a linear model, and local: of other basins it knows nothing.  That of `fit`'s `Result.best`
+        is by renders around the answer (`uncertainty.at_answer`); others are by samples of the
+        search.  NaN on the axes of integers and choices; None where too few images are known.
+        Until it is read the solution keeps what the optimizer remembered (`memory_mb`).
         """
         return None if self.estimate is None else self.estimate.std
 
@@ -129,10 +114,8 @@ class Solution:
     def undetermined(self) -> tuple[str, ...]:
         """Names of the parameters that the images do not determine; without a space "x[i]".
 
-        Numbers whose `std` is at least 0.2, nearly that of a uniform distribution; what a picture
-        of hard edges fixes is not among them.  Integers and choices of which another value was
-        rendered that explains the target as well, with these or with other parameters.  Like `std`
-        an estimate, from samples near here.  Empty where nothing is known, as `std` is None.
+        Numbers whose `std` is at least 0.2; integers and choices of which another value explains
+        the target as well.  Empty where nothing is known, as `std` is None.
         """
         if self.estimate is None or self.std is None:
             return ()
@@ -175,10 +158,6 @@ class Optimizer(Protocol):
         """Seconds spent so far in "encode" (losses and features), "train", "search"."""
 
     @property
-    def training(self) -> bool:
-        """Whether it learns in the background, so that saving would wait."""
-
-    @property
     def best(self) -> Solution | None:
         """Best point told so far."""
 
@@ -190,7 +169,7 @@ class Optimizer(Protocol):
         """Candidates (n, dim) in [0, 1]; None: what is left of the generation."""
 
     def ask_ready(self) -> Float64:
-        """As `ask`, but only candidates that wait for no training; at least one."""
+        """As `ask`, but what is best told before more is asked: one step, or a generation."""
 
     def tell(self, X: object, images: object = None, losses: object = None) -> object:
         """Report results: points (n, dim) with their images, losses (n,), or both."""

@@ -26,8 +26,8 @@ from torch import Tensor
 from fide_plugins.cli import main
 from fide_plugins.types import Float32, Float64
 
-# The same cases every time, so that a change is judged by what it changes; a longer run, see
-# lab/reports/extremes.md, looks for new ones.
+# The same cases every time, so that a change is judged by what it changes; a longer run
+# (FIDE_CASES=1) looks for new ones.
 hypothesis.settings.register_profile("same", derandomize=True, deadline=None)
 if "FIDE_CASES" not in os.environ:
     hypothesis.settings.load_profile("same")
@@ -120,9 +120,8 @@ def _only_drawn_where_it_is_looked_at(
     A run's summary takes 0.2 s and a report's charts 3 s, most of what a small run takes.
     """
     if request.node.get_closest_marker("figures") is None:
-        for name in ("fide_plugins.recording.figures.summary", "fide_lab.report.plots.png"):
+        for name in ("fide_plugins.recording.plots.summary", "fide_lab.report.plots.png"):
             monkeypatch.setattr(name, lambda *_: EMPTY_PNG)
-        monkeypatch.setattr("fide_lab.report.plots.as_file", lambda _: EMPTY_SVG)
 
 
 @pytest.fixture(autouse=True)
@@ -144,7 +143,6 @@ def empty_png() -> bytes:
 
 
 EMPTY_PNG = empty_png()
-EMPTY_SVG = b'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1 1"></svg>'
 
 
 @pytest.fixture

@@ -1,14 +1,4 @@
-"""What an objective may return in place of a bare loss: the loss together with its image.
-
-    return ImageLoss(loss, image)                         # any image that `FIDE.tell` takes, a path
-    return ImageLoss(loss, image=ImageRef("/shared/17.png"))  # a file that the optimizer can read
-    return ImageLoss(loss, features=tokens)               # (T, C), encoded by the worker
-    return ImageLoss(loss, [front, side])                 # for a list of targets
-
-An `ImageLoss` is a float, so every framework and every other optimizer can use it.  The image
-stays attached to this float, also through pickle to and from worker processes.  Arithmetic and
-`float()` give plain floats without the image.
-"""
+"""What an objective may return in place of a bare loss: the loss together with its image."""
 
 from __future__ import annotations
 
@@ -24,60 +14,32 @@ from fide_plugins.validation.image_files import read_pixels
 from fide_plugins.validation.pixels import Clipping, is_path, is_pil, is_torch_tensor
 from fide_plugins.views import Views
 
-__all__ = [
-    "ImageLoss",
-    "ImageReader",
-    "ImageRef",
-    "Result",
-    "is_image",
-    "read_result",
-    "resolve_image",
-]
+__all__ = ["ImageLoss", "ImageReader", "ImageRef", "Result", "is_image", "read_result"]
 
 
 class ImageLoss(float):
-    """A loss that carries the image, or the features of the image, that it was computed from.
+    """A loss that carries the image that it was computed from.
 
-    Parameters
-    ----------
-    loss
-        one real number, the lower the better; NaN and infinity are allowed.
-    image
-        anything that `fide_plugins.validation.images.as_target` takes, or an `ImageRef`; for a
-        list of targets a list of them.  It is neither copied nor checked before the optimizer gets
-        it.
-    features
-        in place of an image: its tokens (T, C), computed with the optimizer's own encoder.  Prefer
-        a NumPy array, which can be sent between processes cheaply.
-    version
-        attribute `version` of the encoder that made the features.  It must equal that of the
-        optimizer's encoder; None: it is not compared.
+        return ImageLoss(loss, image)
 
-    Raises
-    ------
-    LossError
-        the loss is not a real number, or both image and features are given (also a ValueError).
+    It is a float, so every framework and every other optimizer can use it.  The image stays
+    attached, also through pickle; arithmetic and `float()` give plain floats without it.
+
+    loss: one real number, the lower the better; NaN and infinity are allowed.
+    image: anything that `FIDE.tell` takes for one candidate, or an `ImageRef`; for a list of
+        targets a list of them.  It is neither copied nor checked before the optimizer gets it.
+
+    Raises LossError, a ValueError, if the loss is not a real number.
     """
 
     image: object
-    features: object
-    version: str | None = None
 
-    def __new__(
-        cls,
-        loss: float,
-        image: object = None,
-        *,
-        features: object = None,
-        version: str | None = None,
-    ) -> Self:
+    def __new__(cls, loss: float, image: object = None) -> Self:
         """Make the float."""
         if not hasattr(loss, "__float__") or np.shape(loss) != ():
             raise LossError(f"the loss of an ImageLoss must be one real number, not {loss!r}")
-        if image is not None and features is not None:
-            raise LossError("an ImageLoss has an image or its features, not both")
         self = super().__new__(cls, loss)
-        self.image, self.features, self.version = image, features, version
+        self.image = image
         return self
 
 
@@ -91,19 +53,11 @@ class ImageRef:
     The optimizer reads the file when it gets the result, and does not need it afterwards.
     """
 
-    __slots__ = ("path",)
-
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = os.path.abspath(os.fspath(path))
 
     def __repr__(self) -> str:
         return f"ImageRef({self.path!r})"
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, ImageRef) and self.path == other.path
-
-    def __hash__(self) -> int:
-        return hash(self.path)
 
     def load(self, raw: bool = False) -> Any:
         """Array (H, W) or (H, W, C); raw: with the numbers of the file, for a range of values.
@@ -118,13 +72,6 @@ class ImageRef:
             raise ImageNotFoundError(f"no image file at {self.path!r}") from error
         except (OSError, ValueError, EOFError) as error:
             raise ImageError(f"cannot read {self.path!r} as an array: {error}") from error
-
-
-def resolve_image(image: object, raw: bool = False) -> object:
-    """Load `image`, or what is in a list, if it is a reference.  Raises as `ImageRef.load`."""
-    if isinstance(image, list | tuple):
-        return [resolve_image(one, raw) for one in image]
-    return image.load(raw) if isinstance(image, ImageRef) else image
 
 
 class ImageReader:
@@ -144,7 +91,14 @@ class ImageReader:
         `ImageRef.load`; a ValueRangeError for images on another scale.
         """
         raw = self._views.values is not None
-        return self._views.batch_of_one(resolve_image(image, raw), self._clipping)
+        return self._views.batch_of_one(_loaded(image, raw), self._clipping)
+
+
+def _loaded(image: object, raw: bool) -> object:
+    """An image, or the list, with its references loaded."""
+    if isinstance(image, list | tuple):
+        return [_loaded(one, raw) for one in image]
+    return image.load(raw) if isinstance(image, ImageRef) else image
 
 
 class Result(NamedTuple):
@@ -152,14 +106,10 @@ class Result(NamedTuple):
 
     loss: not checked; None: the optimizer's own loss of the image.
     image: None if there is none.
-    features: (T, C); None if there are none.
-    version: of the encoder that made the features; None if it is not known.
     """
 
     loss: Any
     image: Any = None
-    features: Any = None
-    version: str | None = None
 
 
 def read_result(result: object) -> Result:
@@ -168,7 +118,7 @@ def read_result(result: object) -> Result:
     Anything else is regarded as a loss.
     """
     if isinstance(result, ImageLoss):
-        return Result(float(result), result.image, result.features, result.version)
+        return Result(float(result), result.image)
     if is_image(result):
         return Result(None, result)
     if isinstance(result, tuple) and len(result) == 2:

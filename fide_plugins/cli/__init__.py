@@ -8,7 +8,7 @@ on standard error; 130 and 143 stopped by Ctrl-C and SIGTERM, with everything sa
 `arguments`     arguments that commands share; a renderer of one's own
 `fit_inputs`    what `fide fit` reads and renders before the search
 `terminal`      text for a terminal, and standard streams that are closed or full
-`progress`      progress of a run: a bar, lines, a page in the browser
+`progress`      progress of a run: lines, a page in the browser
 ==============  =====================================================================
 """
 
@@ -17,10 +17,9 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from difflib import get_close_matches
 from importlib import import_module
-from itertools import takewhile
 from typing import Any, NoReturn
 
 from fide_plugins import __version__
@@ -112,34 +111,26 @@ class _Parser(argparse.ArgumentParser):
     """Parser that raises exceptions instead of ending the process."""
 
     def __init__(self, prog: str, description: str, usage: str | None = None) -> None:
-        super().__init__(
-            prog=prog,
-            usage=usage,
-            description=description,
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-            allow_abbrev=False,
-        )
-        self._words: list[str] = []
-
-    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """As argparse does, and remember the words for `error`."""
-        self._words = list(args or [])
-        return super().parse_known_args(args, namespace)
+        form = argparse.RawDescriptionHelpFormatter
+        super().__init__(prog, usage, description, formatter_class=form, allow_abbrev=False)
 
     def error(self, message: str) -> NoReturn:
-        raise _Usage(self.prog, message + suggestion(message, self, _parsers, self._words))
+        flags = [flag for action in self._actions for flag in action.option_strings]
+        raise _Usage(self.prog, message + _suggestion(message, flags))
 
     def exit(self, status: int = 0, message: str | None = None) -> NoReturn:
         raise _Done(status)
 
 
-def _parsers() -> dict[str, argparse.ArgumentParser]:
-    """The arguments of each command, by its name."""
-    parsers: dict[str, argparse.ArgumentParser] = {}
-    for name in commands():
-        parsers[name] = argparse.ArgumentParser(add_help=False)
-        module_of(name).add_arguments(parsers[name])
-    return parsers
+def _suggestion(message: str, flags: list[str]) -> str:
+    """End of a message of argparse: the flag or the value that is meant; empty if none is close."""
+    if choice := re.search(r"invalid choice: '([^']*)' \(choose from (.*)\)$", message):
+        return did_you_mean(choice[1], re.findall(r"[^', ]+", choice[2]))
+    for word in message.removeprefix("unrecognized arguments: ").split():
+        close = get_close_matches(word.partition("=")[0], flags, 1)
+        if word.startswith("--") and close:
+            return f"; did you mean {close[0]}?"
+    return ""
 
 
 def _parser() -> _Parser:
@@ -147,67 +138,11 @@ def _parser() -> _Parser:
     width = max(map(len, known))
     listing = "\n".join(f"  fide {name:{width}}   {text}" for name, text in known.items())
     description = (
-        f"Fit a black-box renderer to a picture.\n\n{listing}\n\n"
-        "See fide COMMAND --help for each."
-        + " A good start: fide run voronoi --size 112"
-        * with_lab
+        f"Fit a black-box renderer to a picture.\n\n{listing}\n\nSee fide COMMAND --help for each."
+        + " A good start: fide run voronoi --size 112" * with_lab
     )
     parser = _Parser("fide", description, "fide COMMAND ...")
     parser.add_argument("--version", action="version", version=f"fide {__version__}")
     parser.add_argument("command", choices=known if with_lab else None,
                         metavar="COMMAND", help=argparse.SUPPRESS)  # fmt: skip
     return parser
-
-
-# -- what was meant by a flag or a name that a command does not know -------------------------------
-
-_MISSING = "the following arguments are required: "
-_UNKNOWN = "unrecognized arguments: "
-_MISTYPED = 0.75  # similarity of names, from which on one is taken for the other
-_CHOICE = re.compile(r"invalid choice: '([^']*)' \(choose from (.*)\)$")
-
-
-def suggestion(
-    message: str,
-    parser: argparse.ArgumentParser,
-    others: Callable[[], Mapping[str, argparse.ArgumentParser]],
-    words: Sequence[str] = (),
-) -> str:
-    """End of a message of argparse: the flag or the value that is meant; empty if nothing is close.
-
-    parser: of the command.  others: gives those of all commands, by name;
-    they take a while, and are asked only if no flag of this one is close.  words: that were given.
-    """
-    if message.startswith(_MISSING):
-        return _taken(parser, words)
-    choice = _CHOICE.search(message)
-    if choice is not None:
-        return did_you_mean(choice[1], re.findall(r"[^', ]+", choice[2]))
-    if not message.startswith(_UNKNOWN):
-        return ""
-    for word in message.removeprefix(_UNKNOWN).split():
-        flag = word.partition("=")[0]
-        if not flag.startswith("--"):
-            continue
-        name, own = flag[2:], [one[2:] for one in _flags(parser) if one.startswith("--")]
-        if not get_close_matches(name, own, 1, _MISTYPED) and (
-            where := [command for command, other in others().items() if flag in _flags(other)]
-        ):
-            return f"; {flag} is of {' and '.join(f'fide {command}' for command in where[:3])}"
-        if close := get_close_matches(name, own, 1):
-            return f"; did you mean --{close[0]}?"
-    return ""
-
-
-def _taken(parser: argparse.ArgumentParser, words: Sequence[str]) -> str:
-    """Which option has taken the argument that is missing, as one with several values does."""
-    greedy = {flag for one in parser._actions if one.nargs == "+" for flag in one.option_strings}
-    for flag, values in ((word, words[i + 1 :]) for i, word in enumerate(words) if word in greedy):
-        taken = list(takewhile(lambda value: not value.startswith("-"), values))
-        if len(taken) > 1:
-            return f"; {flag} has taken {taken[-1]!r}: write {flag}={','.join(taken[:-1])}"
-    return ""
-
-
-def _flags(parser: argparse.ArgumentParser) -> list[str]:
-    return [flag for action in parser._actions for flag in action.option_strings]

@@ -47,10 +47,7 @@ def setting(text: str) -> tuple[str, Any]:
 
 
 def lists(text: str) -> list[Any]:
-    """Parse a list of lists, as JSON has it, such as [[0,1],[2,3]]; what is in them is not checked.
-
-    The empty list is allowed.
-    """
+    """Parse a list of lists, as JSON has it; what is in them is not checked."""
     if not text.startswith("["):
         raise argparse.ArgumentTypeError(f"a list such as [[0,1],[2,3]], or [], not {text!r}")
     _, found = setting(f"groups={text}")
@@ -59,22 +56,17 @@ def lists(text: str) -> list[Any]:
 
 def names(text: str) -> list[str]:
     """Parse names separated by commas; those in brackets, ``fide:x0=[0,1]``, are of a name."""
-    found = [name.strip() for name in _parts(text)]
-    if not all(found):
-        raise argparse.ArgumentTypeError(f"names separated by commas, not {text!r}")
-    return found
-
-
-def _parts(text: str) -> list[str]:
-    """Split at the commas that are not within brackets or braces."""
-    parts, depth = [""], 0
+    found, depth = [""], 0
     for character in text:
         depth += (character in "[{") - (character in "]}")
         if character == "," and not depth:
-            parts.append("")
+            found.append("")
         else:
-            parts[-1] += character
-    return parts
+            found[-1] += character
+    found = [name.strip() for name in found]
+    if not all(found):
+        raise argparse.ArgumentTypeError(f"names separated by commas, not {text!r}")
+    return found
 
 
 def add_run_arguments(
@@ -88,8 +80,7 @@ def add_run_arguments(
 ) -> None:
     """Add the arguments that `fide run` and `fide fit` share.
 
-    size, renders: explanation of --size and of --budget.  optimizer, budget, side: defaults, None
-    where they depend on other arguments.
+    size, renders: explanations.  optimizer, budget, side: defaults, None where they depend.
     """
     add = parser.add_argument
     add("--optimizer", default=optimizer, metavar="NAME",
@@ -124,20 +115,16 @@ def optimizer_options(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def free_directory(args: argparse.Namespace, what: str) -> Path:
-    """Run directory: --out, or a directory in runs/ with a descriptive name.
-
-    Without --out the directory is new; a number makes its name unique.  With --resume it is the
-    last one with that name.
-    """
+    """Run directory: --out, or a new one in runs/; with --resume, the last one with its name."""
     if args.out is not None:
         return Path(args.out)
     name = f"{what}-{args.optimizer}-{args.loss}-seed{args.seed}"
-    name = re.sub(r"[^A-Za-z0-9._-]+", "_", name).lstrip(".")
-    number, last, free = 1, None, Path("runs", name)
+    first = free = last = Path("runs", re.sub(r"[^A-Za-z0-9._-]+", "_", name).lstrip("."))
+    number = 1
     while free.exists():
         number, last = number + 1, free
-        free = Path("runs", f"{name}-{number}")
-    return last if args.resume and last is not None else free
+        free = first.with_name(f"{first.name}-{number}")
+    return last if args.resume else free
 
 
 # -- a renderer of one's own -----------------------------------------------------------------------
@@ -149,13 +136,12 @@ def space_of(file: str | None) -> Space | None:
 
     try:
         return None if file is None else Space.read(file)
-    except FileNotFoundError as error:
+    except (FileNotFoundError, IsADirectoryError) as error:
+        what = f"{file!r} is a folder" if Path(str(file)).is_dir() else f"there is no file {file!r}"
         raise OptionError(
-            f"--space: there is no file {file!r}; name a TOML file with a table for each parameter "
+            f"--space: {what}; name the TOML file with a table for each parameter "
             "(docs/reference/space.md)"
         ) from error
-    except IsADirectoryError as error:
-        raise OptionError(f"--space: {file!r} is a folder; name the TOML file in it") from error
 
 
 def function_of(reference: str, space: Space | None) -> tuple[FunctionRenderer, Space | int]:
@@ -171,7 +157,7 @@ def program_of(
 ) -> tuple[CommandRenderer, Space, float]:
     """Program of a command, or of one for each view, its parameters, and seconds until it is ended.
 
-    timeout: as --timeout has it; None: 60 seconds.  raw: whether it has a range of values.
+    timeout: as --timeout has it.  raw: whether it has a range of values.
     """
     from fide_plugins.renderers import CommandRenderer
     from fide_plugins.renderers.command import TIMEOUT

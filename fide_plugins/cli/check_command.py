@@ -30,8 +30,9 @@ from fide_plugins.cli.terminal import (
     paragraph,
     plain,
     warnings_as_notes,
+    write_figure,
 )
-from fide_plugins.errors import DependencyError, OptionError
+from fide_plugins.errors import OptionError
 
 __all__ = ["add_arguments", "execute"]
 
@@ -56,8 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
-    from fide_plugins.fitting.checking import check
-    from fide_plugins.fitting.checking.report import as_data, lines
+    from fide_plugins.fitting.checking import as_data, check, figure, lines
 
     who = "fide check"
     with warnings_as_notes(who):
@@ -68,7 +68,7 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
             if facts.images:
                 out = args.out or Path("runs", f"check-{_file_name(name)}")
                 out.mkdir(parents=True, exist_ok=True)
-                picture = _written(out / "check.png", name, facts)
+                picture = write_figure(who, out / "check.png", lambda: figure(name, facts))
         except USAGE_ERRORS as error:
             note(f"{who}: {paragraph(error)}")
             return 2
@@ -82,22 +82,9 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
     return 0 if facts.images else 1
 
 
-def _written(path: Path, name: str, facts: Any) -> Path | None:
-    """The picture at `path`; None, with a note, without matplotlib, which is an extra."""
-    from fide_plugins.fitting.checking.report import figure
-    from fide_plugins.runtime.files import write_bytes
-
-    try:
-        write_bytes(path, figure(name, facts))
-    except DependencyError as error:
-        note(f"fide check: {path.name} is left out: {error}")
-        return None
-    return path
-
-
 def _tell(renders: int, seconds: float) -> None:
     if seconds > _WORTH_TELLING:
-        from fide_plugins.fitting.checking.report import duration
+        from fide_plugins.fitting.checking import duration
 
         note(f"fide check: {renders} more renders, about {duration(seconds)}")
 
@@ -120,17 +107,11 @@ def _renderer(args: argparse.Namespace) -> tuple[str, Callable[[Any], object], A
 
     with notices("fide_tasks"):
         task = fide_tasks.make(args.renderer, _SIDE)
-    return args.renderer, _Frames(task), task.space, args.timeout
 
+    def render(params: dict[str, Any]) -> Any:
+        return task.render(task.space.encode(params)[None])[0]
 
-class _Frames:
-    """A built-in task as a function of a dictionary."""
-
-    def __init__(self, task: Any) -> None:
-        self._task = task
-
-    def __call__(self, params: dict[str, Any]) -> Any:
-        return self._task.render(self._task.space.encode(params)[None])[0]
+    return args.renderer, render, task.space, args.timeout
 
 
 def _file_name(name: str) -> str:

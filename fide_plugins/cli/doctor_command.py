@@ -35,13 +35,17 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
 
 def _summary() -> str:
     """What is installed, without importing any of it, and which encoders and losses work."""
-    versions, computer = machine.versions(), machine.machine()
-    first = ("fide-plugins", "python", "torch", "numpy")
-    extras, cores = _versions_of_extras(), counted(computer["cores"], "core")
+    versions, computer, extras = machine.versions(), machine.machine(), _versions_of_extras()
+    first = [f"{name} {versions[name]}" for name in ("fide-plugins", "python", "torch", "numpy")]
     missing = [extra for extra, version in extras.items() if not version]
+    # PyTorch, which knows, takes a second to import
+    driver = any(Path(path).exists() for path in ("/dev/nvidiactl", "/dev/dxg"))
+    gpu = "an NVIDIA driver is there" if driver else "no GPU, everything runs on the CPU"
+    if versions["torch"].endswith("+cpu"):
+        gpu = "this PyTorch has no CUDA, everything runs on the CPU"
     lines = [
-        ", ".join(f"{name} {versions[name]}" for name in first if name in versions),
-        f"{computer['cpu']}, {cores}; {_gpu(str(versions.get('torch')))}",
+        ", ".join(first),
+        f"{computer['cpu']}, {counted(computer['cores'], 'core')}; {gpu}",
         f"extras: {', '.join(extra for extra in extras if extra not in missing) or 'none'}",
     ]
     if missing:
@@ -69,35 +73,23 @@ def _versions_of_extras() -> dict[str, str | None]:
     return {extra: machine.version_of(packages[0]) for extra, packages in EXTRAS.items()}
 
 
-def _gpu(torch_version: str) -> str:
-    """Whether a GPU can be expected; PyTorch, which knows, takes a second to import."""
-    if torch_version.endswith("+cpu"):
-        return "this PyTorch has no CUDA, everything runs on the CPU"
-    driver = any(Path(path).exists() for path in ("/dev/nvidiactl", "/dev/dxg"))
-    return "an NVIDIA driver is there" if driver else "no GPU, everything runs on the CPU"
-
-
 def examine() -> dict[str, Any]:
     """Versions, machine, and for each name None or the reason why it cannot be used."""
     import torch  # noqa: F401  `machine` reports devices only if it is imported
 
+    try:
+        import_module("fide_plugins.runtime.opencv")
+        opencv = opencv_collision()
+    except ImportError as error:
+        opencv = plain(error)
     return {
         "versions": machine.versions(),
         "machine": machine.machine(),
-        "opencv": _try_opencv(),
+        "opencv": opencv,
         "mitsuba": _try_mitsuba(),
         **{kind: problems(kind) for kind in KINDS},
         "extras": _versions_of_extras(),
     }
-
-
-def _try_opencv() -> str | None:
-    """What is wrong with OpenCV; None if it can be used, and only one is installed."""
-    try:
-        import_module("fide_plugins.runtime.opencv")
-    except ImportError as error:
-        return plain(error)
-    return opencv_collision()
 
 
 def _try_mitsuba() -> dict[str, str]:
@@ -109,35 +101,24 @@ def _try_mitsuba() -> dict[str, str]:
     facts = {}
     for short, name in mitsuba_variant.VARIANTS.items():
         problem = mitsuba_variant.problem_with(short)
-        facts[name] = f"no: {problem}; {mitsuba_variant.REMEDIES[short]}" if problem else "ok"
-    if facts["llvm_ad_rgb"] == "ok":
-        facts["llvm_ad_rgb"] = (
-            f"ok, with {mitsuba_variant.library() or 'a library it finds itself'}"
+        facts[name] = plain(
+            f"no: {problem}; {mitsuba_variant.REMEDIES[short]}" if problem else "ok"
         )
-    return {name: plain(text) for name, text in facts.items()}
+    return facts
 
 
 def _text(facts: dict[str, Any]) -> str:
-    versions, machine = facts["versions"], facts["machine"]
-    lines = ["  ".join(f"{name} {version}" for name, version in versions.items())]
-    counts = counted(machine["cores"], "core"), counted(machine["threads"], "thread")
-    lines.append(", ".join([machine["cpu"], *counts]))
-    lines.append(f"CUDA: {machine.get('cuda') or 'none, everything runs on the CPU'}")
-    lines.append(f"OpenCV: {facts['opencv'] or 'ok'}")
-    lines.append("\nvariants of Mitsuba; the first one that runs is the default")
-    width = max(map(len, facts["mitsuba"]))
-    lines += [f"  {name:{width}}  {text}" for name, text in facts["mitsuba"].items()]
-    for kind in KINDS:
-        lines.append(f"\n{kind}")
-        width = max(map(len, facts[kind]), default=0)
-        for name, problem in facts[kind].items():
-            lines.append(f"  {name:{width}}  {problem or 'ok'}")
-    lines.append("\nextras")
-    width = max(map(len, facts["extras"]))
-    for extra, version in facts["extras"].items():
-        state = version or f"not installed: {install_command(extra)}"
-        lines.append(f"  {extra:{width}}  {state}")
-    return "\n".join(lines)
+    extras = {
+        extra: version or f"not installed: {install_command(extra)}"
+        for extra, version in facts["extras"].items()
+    }
+    sections = {**facts, "opencv": {"OpenCV": facts["opencv"]}, "extras": extras}
+    lines = []
+    for title, table in sections.items():
+        lines += ["", title]
+        width = max(map(len, table), default=0)
+        lines += [f"  {name:{width}}  {'ok' if v is None else v}" for name, v in table.items()]
+    return "\n".join(lines[1:])
 
 
 # -- which tasks, optimizers, encoders and losses can be used here: each is tried once -------------
@@ -181,14 +162,13 @@ def _try(kind: str, name: str) -> None:
 
     import fide_tasks
     from fide_plugins import encoders, losses
+    from fide_plugins.fide import FIDE
 
     image = np.linspace(0, 1, _SIDE * _SIDE * 3, dtype=np.float32).reshape(_SIDE, _SIDE, 3)
     match kind:
         case "tasks":
             fide_tasks.make(name, size=_SIDE).check()
         case "optimizers" if name == "fide":
-            from fide_plugins.fide import FIDE
-
             FIDE(2, image, seed=0).ask()
         case "optimizers":
             laboratory.module("optimizers").make(name, 2, image, seed=0).ask()

@@ -30,7 +30,7 @@ import sys
 from collections.abc import Callable
 from contextlib import nullcontext, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 from fide_plugins.cli.arguments import (
     add_run_arguments,
@@ -62,28 +62,25 @@ from fide_plugins.runtime import laboratory
 from fide_plugins.validation.options import positive_fraction
 
 if TYPE_CHECKING:
+    from fide_plugins.cli.fit_inputs import Renders
     from fide_plugins.fide import FIDE
     from fide_plugins.fitting.fitting import Fitting
-    from fide_plugins.fitting.rendering import Outcome
     from fide_plugins.fitting.result import Result
-    from fide_plugins.types import Float64, Solution
+    from fide_plugins.types import Solution
 
 
 MODELS = {"voronoi": "cells", "spline": "control_points"}
 """Models, and the option of each that sets its number of elements."""
+_COMPARISON = ("photo", "photometric", "robust", "background")
 _OF_MODELS = ("cells", "control_points", "model_set", "optimizer", "start")
 """Arguments that no renderer of a user has."""
 _OF_RENDERERS = (
     "space", "workers", "timeout", "mask", "weights", "time", "stop_at", "until",
-    "encoder", "learned", "max_failures", "value_range", "photo", "photometric", "robust",
-    "background",
+    "encoder", "learned", "max_failures", "value_range", *_COMPARISON,
 )  # fmt: skip
 """Arguments that no model has."""
-_COMPARISON = ("photo", "photometric", "robust", "background")
 _BUDGET = 2000
 _MOST = 40  # parameters that are printed
-Again: TypeAlias = "Callable[[FIDE, Float64], list[Outcome]]"
-"""Renders points (n, dim) outside of the loop, as the fit renders them."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -173,19 +170,10 @@ def _refuse(args: argparse.Namespace, names: tuple[str, ...], given: str) -> Non
     """Raise OptionError for an argument that has no meaning beside `given`."""
     for name in names:
         if getattr(args, name) is not None:
-            flag = "--" + name.replace("_", "-")
-            remedy = _by_run(args) if name == "optimizer" else "leave it out"
+            flag, remedy = "--" + name.replace("_", "-"), "leave it out"
+            if name == "optimizer":
+                remedy += "; to search with another one: fide run RENDERER --target PICTURE"
             raise OptionError(f"{flag} has no meaning with {given}; {remedy}")
-
-
-def _by_run(args: argparse.Namespace) -> str:
-    """The command that fits the same picture with another optimizer."""
-    if len(args.targets) > 1 or args.optimizer == "fide" or not laboratory.is_installed():
-        return "leave it out, since fide fit searches with fide"
-    what = [args.renderer] if args.renderer else ["--command", args.templates[0]]
-    space = [] if args.space is None else ["--space", args.space]
-    words = ["fide", "run", *what, *space, "--target", args.targets[0]]
-    return f"to search with another one: {as_typed([*words, '--optimizer', args.optimizer])}"
 
 
 # -- a renderer of one's own -----------------------------------------------------------------------
@@ -198,7 +186,7 @@ def _execute(args: argparse.Namespace, command: list[str]) -> int:
     who, args.optimizer = "fide fit", "fide"
     with warnings_as_notes(who):
         try:
-            fitting, out, again = _prepare(args, command)
+            fitting, out, renders = _prepare(args, command)
         except RenderError as error:
             note(f"{who}: {paragraph(error)}")
             return 1
@@ -213,16 +201,13 @@ def _execute(args: argparse.Namespace, command: list[str]) -> int:
         try:
             with page_of(out) if args.live else nullcontext():
                 result = fitting.execute()
-            _keep_pictures(again, result, out)
+            _keep_pictures(renders, result, out)
         except FitInterrupted as stop:
-            saved = f" after {stop.result.evaluations} renders, saved in {plain(out)}"
-            unsaved = getattr(stop, "__notes__", ())  # what could not be written
-            note(f"{who}: {stop}{saved}" if not unsaved else f"{who}: {stop}")
-            for remark in unsaved:
-                note(paragraph(remark))
+            saved = [f" after {stop.result.evaluations} renders, saved in {plain(out)}"]
+            unsaved = [f"\n{paragraph(one)}" for one in getattr(stop, "__notes__", ())]
+            note("".join([f"{who}: {stop}", *(unsaved or saved)]))
             _note_found(stop.result)
-            if (out / "summary.png").exists():
-                note(f"look at {picture_in(out)}")
+            note(f"look at {picture_in(out)}")
             if is_saved(out):
                 note(f"continue with: {continuation(command, str(out))}")
             return 128 + stop.signum
@@ -237,9 +222,9 @@ def _execute(args: argparse.Namespace, command: list[str]) -> int:
     return 0
 
 
-def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Path, Again]:
+def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Path, Renders]:
     """Everything checked, with one render; the run directory; and what renders further points."""
-    from fide_plugins.cli.fit_inputs import check_first, outcomes, pictures, value_range_of
+    from fide_plugins.cli.fit_inputs import Renders, pictures, value_range_of
     from fide_plugins.fitting.one_call import prepare
     from fide_plugins.fitting.stopping import Stopping
     from fide_plugins.fitting.workers import default_number
@@ -261,12 +246,11 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
     workers = default_number() if args.workers is None else args.workers
     out = free_directory(args, Path(args.targets[0]).stem)
 
+    renders = Renders(render, workers, timeout)
+
     def check(optimizer: FIDE) -> None:
         if read_run(out) is None:
-            check_first(render, optimizer, targets, args.targets, workers, timeout)
-
-    def again(optimizer: FIDE, X: Float64) -> list[Outcome]:
-        return outcomes(render, optimizer, X, workers, timeout)
+            renders.check_first(optimizer, targets, args.targets)
 
     fitting = prepare(
         render,
@@ -285,7 +269,7 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
         check=check,
         max_failures=1.0 if share is None else positive_fraction("max_failures", share),
     )
-    return fitting, out, again
+    return fitting, out, renders
 
 
 def _renderer(args: argparse.Namespace) -> tuple[Any, Any, Any]:
@@ -304,7 +288,7 @@ def _renderer(args: argparse.Namespace) -> tuple[Any, Any, Any]:
     return program, space, None if args.timeout is None or args.workers == 0 else limit + 5
 
 
-def _keep_pictures(again: Again, result: Any, out: Path) -> None:
+def _keep_pictures(renders: Renders, result: Any, out: Path) -> None:
     """Render further solutions for `fide solutions`; those that fail stay without an image.
 
     Each is one render, which the budget does not count.  Those that are stored already stay.
@@ -320,7 +304,7 @@ def _keep_pictures(again: Again, result: Any, out: Path) -> None:
     new = [x for x in points if stored.image_of(known, x) is None]
     if not new:
         return
-    for x, outcome in zip(new, again(result.optimizer, np.array(new)), strict=True):
+    for x, outcome in zip(new, renders(result.optimizer, np.array(new)), strict=True):
         if isinstance(outcome, Rendered):
             with suppress(ImageError):  # no image that fits is a render that failed, too
                 image = as_compared(result.optimizer, outcome.image)
@@ -350,16 +334,14 @@ def _summary(result: Any, out: Path) -> dict[str, Any]:
 def _note_found(result: Result | None) -> None:
     """Say what a fit had found when it ended early."""
     if result is not None and result.best is not None:
-        note(f"best loss {number(result.best.loss)}")
-        for line in _parameters(result.best):
-            note(line)
+        note(f"best loss {number(result.best.loss)}\n" + _parameters(result.best))
 
 
-def _parameters(best: Solution) -> list[str]:
+def _parameters(best: Solution) -> str:
     """Lines with the parameters in their units."""
     from fide_plugins.recording.parameters import lines
 
-    return [f"  {paragraph(line)}" for line in lines(best, _MOST)]
+    return "\n".join(f"  {paragraph(line)}" for line in lines(best, _MOST))
 
 
 def _report(result: Result, out: Path) -> None:
@@ -374,7 +356,7 @@ def _report(result: Result, out: Path) -> None:
         print(_without_best(result))
         return
     print(plain(result.status))
-    print("\n".join(_parameters(result.best)))
+    print(_parameters(result.best))
     if result.std_renders:
         print(f"± one standard deviation, from {result.std_renders} more renders around the answer")
     print(f"look at {picture_in(out)}, or: {as_typed(['fide', 'solutions', str(out)])}")
@@ -386,5 +368,4 @@ def _without_best(result: Any) -> str:
         return "no render has a finite loss"
     if not result.failures:
         return "nothing was rendered in that time; give more --time"
-    shown = "" if result.first_failure is None else "; the first error is printed above"
-    return f"no render gave an image{shown}"
+    return "no render gave an image; fide check shows the first error"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -22,8 +23,7 @@ if TYPE_CHECKING:
 class Pictures(NamedTuple):
     """What `FIDE` takes, with the values that the files have.
 
-    targets: (H, W) or (H, W, C) each.
-    mask, weights: of one target, or a list of them, one for each; None where none are given.
+    targets: (H, W) or (H, W, C) each.  mask, weights: of one target, a list for several, or None.
     """
 
     targets: list[Any]
@@ -59,8 +59,7 @@ def pictures(
     """Read targets, masks and weights; the longer side at most `side`, reduced together.
 
     mask, weights: a file for each target, or "alpha" for the target's own alpha channel; a single
-        "alpha" for that of each, a single file for all targets of one size.
-    raw: whether numbers are taken as they are stored.
+    one for all targets.  raw: whether numbers are taken as they are stored.
 
     Raises OptionError unless there is one for each target, ImageError for a target without alpha.
     """
@@ -70,15 +69,9 @@ def pictures(
         return Pictures([read_pixels(path, side, raw=raw) for path in paths], None, None)
     targets = [read_pixels(path, None, raw=raw) for path in paths]
     masks, others = (_each(*one, targets) for one in (("mask", mask), ("weights", weights)))
-    views = [
-        _view(path, target, side, raw, {"mask": first, "weights": second})
-        for path, target, first, second in zip(paths, targets, masks, others, strict=True)
-    ]
-    return Pictures(
-        [target for target, _, _ in views],
-        _joined([one for _, one, _ in views]),
-        _joined([one for _, _, one in views]),
-    )
+    views = [_view(*one, side, raw) for one in zip(paths, targets, masks, others, strict=True)]
+    targets, mask_of_each, weights_of_each = map(list, zip(*views, strict=True))
+    return Pictures(targets, _joined(mask_of_each), _joined(weights_of_each))
 
 
 def _each(name: str, given: list[str] | None, targets: list[Any]) -> list[Any]:
@@ -96,16 +89,17 @@ def _each(name: str, given: list[str] | None, targets: list[Any]) -> list[Any]:
         ) from error
 
 
-def _view(path: str, target: Any, side: int | None, raw: bool, given: dict[str, Any]) -> Any:
-    """Target, mask and weights of one view.
+def _view(path: str, target: Any, mask: Any, weights: Any, side: int | None, raw: bool) -> Any:
+    """Target, mask and weights of one view, of which those are files, "alpha" or None.
 
-    given: the files of "mask" and "weights", "alpha" or None.  Those of the target's size say what
-    counts where it is made smaller; another one may have the smaller size.
+    Those of the target's size say what counts where it is made smaller; another one may have the
+    smaller size.
     """
     from fide_plugins.validation.image_files import read_pixels, shrunk
     from fide_plugins.validation.images import alpha_of
-    from fide_plugins.views.weights import ALPHA, joined, read_weights
+    from fide_plugins.views.given import ALPHA, joined, read_weights
 
+    given = {"mask": mask, "weights": weights}
     size, product, counting = target.shape[:2], None, []
     for name, one in given.items():
         if one == ALPHA:
@@ -117,8 +111,8 @@ def _view(path: str, target: Any, side: int | None, raw: bool, given: dict[str, 
             pixels = read_pixels(one, None)
             given[name] = pixels if pixels.shape[:2] == size else read_pixels(one, side)
             if pixels.shape[:2] == size and side is not None and max(size) > side:
-                weights = read_weights(pixels, target, size, name)
-                product = joined(product, weights, "mask times weights")
+                of_pixels = read_weights(pixels, target, size, name)
+                product = joined(product, of_pixels, "mask times weights")
                 counting.append(name)
     small, less = shrunk(target, product, side, raw=raw)
     if counting:
@@ -139,84 +133,68 @@ def _joined(each: list[Any]) -> Any:
 _PLACES = 24  # random ones that are rendered if the first one fails
 
 
-def check_first(
-    render: Callable[[Any], object],
-    optimizer: FIDE,
-    targets: Sequence[Float32],
-    names: Sequence[str],
-    workers: int,
-    timeout: float | str | None,
-) -> None:
-    """Render where the search begins, as a fit would render it, and check the images.
+class Renders:
+    """Renders points outside of the loop, as a fit renders them.
 
-    If that fails, and not by an error that other parameters hardly mend, random places are tried;
-    the search then begins at the first that gives an image.
-
-    targets: (H, W, 3), one for each view; names: of the targets, for messages.
-    workers, timeout: as for `fit`.
-
-    Raises RenderError if there is no image, ImageError (a ValueError) for what `FIDE.tell` refuses:
-    not one of the target's size for each view, or impossible values.
+    render, workers, timeout: as for `fit`.
     """
-    x = optimizer.state.search.mean
-    (outcome,) = outcomes(render, optimizer, x[None], min(workers, 1), timeout)
-    if isinstance(outcome, Failed):
-        x, outcome = _at_random(render, optimizer, outcome, workers, timeout)
-        optimizer.begin_at(x)
-    try:
-        canonical(optimizer, outcome.image)
-    except ImageError as error:
-        _compare_sizes(targets, names, as_told(optimizer, outcome.image))
-        raise type(error)(f"the first render gave no image that fits: {error}") from error
 
+    def __init__(
+        self, render: Callable[[Any], object], workers: int, timeout: float | str | None
+    ) -> None:
+        self._render, self._workers = render, workers
+        self._limit = None if timeout is None else seconds_of("timeout", timeout)
 
-def _at_random(
-    render: Callable[[Any], object],
-    optimizer: FIDE,
-    first: Failed,
-    workers: int,
-    timeout: float | str | None,
-) -> tuple[Float64, Rendered]:
-    """A place (d,) that can be rendered, with its image; raises RenderError if none is found."""
-    if first.broken:
-        raise RenderError(f"the first render failed: {_shown(first)}")
-    at_once = max(1, workers)
-    for begun in range(0, _PLACES, at_once):
-        X = np.array([optimizer.random_point(begun + i) for i in range(at_once)])
-        for x, outcome in zip(X, outcomes(render, optimizer, X, workers, timeout), strict=True):
-            if isinstance(outcome, Rendered):
-                return x, outcome
-    raise RenderError(
-        f"the first render failed, and so did those of {_PLACES} random places. If most parameters "
-        "are invalid, say in the space which are valid: [constraints], and below it wall = "
-        f'"inner < 0.6 * outer". The first one: {_shown(first)}'
-    )
+    def __call__(self, optimizer: FIDE, X: Float64) -> list[Outcome]:
+        """Outcomes of points (n, dim); the start of a worker is no time of its render."""
+        renderer = Renderer(self._render, optimizer.space, raw=optimizer.value_range is not None)
+        pool = workers_for(renderer, min(self._workers, len(X)), None, self._limit)
+        try:
+            return list(gathered(pool, X, self._limit))
+        finally:
+            pool.close()
 
+    def check_first(
+        self, optimizer: FIDE, targets: Sequence[Float32], names: Sequence[str]
+    ) -> None:
+        """Render where the search begins, and check the images.
 
-def outcomes(
-    render: Callable[[Any], object],
-    optimizer: FIDE,
-    X: Float64,
-    workers: int,
-    timeout: float | str | None,
-) -> list[Outcome]:
-    """Outcomes of rendering points X (n, dim); arguments as for `fit`.
+        If that fails, and not by an error that other parameters hardly mend, random places are
+        tried; the search then begins at the first that gives an image.
 
-    The start of a worker is no time of its render, as in `fit`.
-    """
-    renderer = Renderer(render, optimizer.space, raw=optimizer.value_range is not None)
-    limit = None if timeout is None else seconds_of("timeout", timeout)
-    pool = workers_for(renderer, workers, None, limit)
-    try:
-        return list(gathered(pool, X, limit))
-    finally:
-        pool.close()
+        targets: (H, W, 3), one for each view; names: of the targets, for messages.
 
+        Raises RenderError if there is no image, ImageError (a ValueError) for what `FIDE.tell`
+        refuses: not one of the target's size for each view, or impossible values.
+        """
+        x = optimizer.state.search.mean
+        (outcome,) = self(optimizer, x[None])
+        if isinstance(outcome, Failed):
+            x, outcome = self._at_random(optimizer, outcome)
+            optimizer.begin_at(x)
+        try:
+            canonical(optimizer, outcome.image)
+        except ImageError as error:
+            _compare_sizes(targets, names, as_told(optimizer, outcome.image))
+            raise type(error)(f"the first render gave no image that fits: {error}") from error
 
-def _shown(failed: Failed) -> str:
-    """All that is known, once: a traceback ends with the reason."""
-    told = failed.reason in failed.details
-    return failed.details if told else f"{failed.reason}\n{failed.details}".rstrip()
+    def _at_random(self, optimizer: FIDE, first: Failed) -> tuple[Float64, Rendered]:
+        """A place (d,) that can be rendered, with its image; RenderError if none is found."""
+        told = first.reason in first.details  # a traceback ends with the reason
+        shown = first.details if told else f"{first.reason}\n{first.details}".rstrip()
+        if first.broken:
+            raise RenderError(f"the first render failed: {shown}")
+        at_once = max(1, self._workers)
+        for begun in range(0, _PLACES, at_once):
+            X = np.array([optimizer.random_point(begun + i) for i in range(at_once)])
+            for x, outcome in zip(X, self(optimizer, X), strict=True):
+                if isinstance(outcome, Rendered):
+                    return x, outcome
+        raise RenderError(
+            f"the first render failed, and so did those of {_PLACES} random places. If most "
+            "parameters are invalid, say in the space which are valid: [constraints], and below it "
+            f'wall = "inner < 0.6 * outer". The first one: {shown}'
+        )
 
 
 def _compare_sizes(targets: Sequence[Float32], names: Sequence[str], told: Sequence[Any]) -> None:
@@ -226,17 +204,13 @@ def _compare_sizes(targets: Sequence[Float32], names: Sequence[str], told: Seque
     """
     images = told if len(targets) == 1 else [batch[0] for batch in told]
     for target, name, image in zip(targets, names, images, strict=True):
-        try:
-            found = as_batch([image], on_clip=lambda message: None).shape[1:3]
-        except ImageError:  # not of its size, then
-            continue
-        _check_size(target.shape[:2], found, name)
-
-
-def _check_size(target: tuple[int, ...], image: tuple[int, ...], name: str) -> None:
-    if target != image:
-        raise ImageError(
-            f"{name} has {target[1]} x {target[0]} pixels, and the renderer's image has "
-            f"{image[1]} x {image[0]}; render at the target's size, or reduce the target (--size "
-            "is its longer side)"
-        )
+        size = target.shape[:2]
+        with suppress(ImageError):  # which is not of its size, then
+            size = as_batch([image], on_clip=id).shape[1:3]
+        if size != target.shape[:2]:
+            width, height, *_ = target.shape[1::-1]
+            raise ImageError(
+                f"{name} has {width} x {height} pixels, and the renderer's image has "
+                f"{size[1]} x {size[0]}; render at the target's size, or reduce the target "
+                "(--size is its longer side)"
+            )

@@ -76,15 +76,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--backgrounds", metavar="FOLDER",
         help="pictures, or 'generated' ones, that are put behind renders which say what they draw "
         "(RGBA, or image and coverage), for photographs")  # fmt: skip
-    add("--head", choices=("autoregressive", "mixture", "set"),
-        help="density that is learned (set where parameters are exchangeable, autoregressive "
-        "elsewhere)")  # fmt: skip
     add("--emulator", action=argparse.BooleanOptionalAction,
         help="a learned renderer, too (where parameters are exchangeable)")  # fmt: skip
     add("--groups", type=lists, metavar="'[[0,1],[2,3]]'",
         help="exchangeable blocks of parameters, [] for none (those of the space)")  # fmt: skip
-    add("--version", metavar="TEXT", help="of your renderer (its attribute version)")
-    add("--store-limit", type=float, default=20.0, metavar="GIB", help="of the renders (20)")
     add("--device", default="auto", help="where the network trains: auto, cpu or cuda (auto)")
     add("--out", type=path, required=True, metavar="MODEL", help="file of the model")
     add("--resume", action="store_true", help="go on with the renders that are there")
@@ -117,7 +112,7 @@ def _learn(args: argparse.Namespace, command: list[str], arguments: dict[str, An
             interrupts.stoppable(),  # each file is written at once
             _where(args) as where,
         ):
-            model = learn(**arguments, **where, on_progress=_Lines())
+            model = learn(**arguments, **where, on_progress=_lines())
     except Interrupted as stop:
         note(f"{who}: {stop}; {_KEPT} {plain(args.out)}.renders")
         note(f"continue with: {continuation(command)}")
@@ -152,8 +147,8 @@ def _arguments(args: argparse.Namespace) -> dict[str, Any]:
 
     render, space = _renderer(args)
     same = (
-        "renders", "size", "passes", "seed", "augment", "backgrounds", "head", "emulator", "groups",
-        "version", "store_limit", "device", "out",
+        "renders", "size", "passes", "seed", "augment", "backgrounds", "emulator", "groups",
+        "device", "out",
     )  # fmt: skip
     time = None if args.time is None else seconds_of("time", args.time)
     given = {name: getattr(args, name) for name in same}
@@ -195,19 +190,19 @@ def _renderer(args: argparse.Namespace) -> tuple[Any, Any]:
     return fide_tasks.make(args.source, size, 0, **dict(args.task_set)), None
 
 
-class _Lines:
+def _lines() -> Callable[[Any], None]:
     """Lines of progress on standard error: one a pass, and one now and then elsewhere."""
+    last = time.monotonic()
 
-    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
-        self._now, self._last = now, now()
-
-    def __call__(self, progress: Any) -> None:
-        late = self._now() - self._last >= interval(_EVERY)
-        is_pass = progress.stage in ("train", "emulate")
+    def report(progress: Any) -> None:
+        nonlocal last
+        late = time.monotonic() - last >= interval(_EVERY)
         rendered = progress.stage == "render" and progress.done == progress.total
-        if late or is_pass or rendered:
-            self._last = self._now()
+        if late or rendered or progress.stage in ("train", "emulate"):
+            last = time.monotonic()
             note(_line(progress))
+
+    return report
 
 
 def _line(progress: Any) -> str:

@@ -46,70 +46,11 @@ Beside FILE.py, a Space in its variable `space` does, too.  Small pictures (100 
 100 renders for each parameter are enough for a first fit.  Call check first: it shows whether each
 parameter changes the image.  Then fit, status until its "state" is not "running", and picture.
 """
+_FIDE = (sys.executable, "-m", "fide_plugins")
 
 
-class Fits:
-    """Fits that this server has started: their processes, and where their messages go."""
-
-    def __init__(self) -> None:
-        self._started: dict[Path, tuple[subprocess.Popen[bytes], Path]] = {}
-
-    def start(self, arguments: list[str], out: Path) -> None:
-        """Start ``fide fit`` with these arguments and this run directory."""
-        if self.is_running(out):
-            raise ValueError(f"a fit in {out} is running; wait, stop it, or name another folder")
-        out.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(prefix="fide-mcp-", suffix=".log", delete=False) as log:
-            process = subprocess.Popen(
-                [sys.executable, "-m", "fide_plugins", "fit", *arguments, "--out", str(out)],
-                stdin=subprocess.DEVNULL, stdout=log, stderr=log,
-            )  # fmt: skip
-        self._started[out.resolve()] = process, Path(log.name)
-
-    def is_running(self, out: Path) -> bool:
-        """Whether a fit of this server goes on there."""
-        process, _ = self._started.get(out.resolve(), (None, None))
-        return process is not None and process.poll() is None
-
-    def status(self, out: Path) -> dict[str, Any]:
-        """State, answer and last messages of the fit in a folder, also of an earlier server's."""
-        found: dict[str, Any] = {"out": str(out)}
-        try:
-            run = json.loads((out / "run.json").read_text("utf-8"))
-            found |= {key: run[key] for key in ("state", "status") if key in run}
-            found |= {
-                "totals": run.get("totals"),
-                "params": (run.get("totals") or {}).get("params"),
-            }
-        except (OSError, ValueError):
-            found["state"] = "starting"
-        process, log = self._started.get(out.resolve(), (None, None))
-        if process is None or log is None:
-            if found["state"] == "starting":
-                raise ValueError(f"there is no run in {out}; start one with fit")
-            return found
-        if process.poll() is None:
-            return {**found, "state": "running"}
-        found["messages"] = log.read_text("utf-8", "replace")[-2000:]
-        if process.returncode and found["state"] in ("starting", "running"):
-            found["state"] = "failed"
-        return found
-
-    def stop(self, out: Path | None = None) -> None:
-        """Stop one fit, or all; each saves itself, and `fit` with resume goes on."""
-        for path, (process, _) in self._started.items():
-            if out is None or path == out.resolve():
-                process.terminate()
-                process.wait(60)
-
-
-def renderer_arguments(
-    renderer: str | None, command: str | None, space: str | None, *flag: str
-) -> list[str]:
-    """Arguments of the command line for a renderer; ValueError unless one of the two is given.
-
-    flag: of `renderer`, if it has one.
-    """
+def _arguments(renderer: str | None, command: str | None, space: str | None, *flag: str) -> Any:
+    """Arguments of the command line for a renderer; flag: of `renderer`, if it has one."""
     if (renderer is None) == (command is None):
         raise ValueError("name a renderer (FILE.py:NAME), or a command with {out}; one of them")
     what = ["--command", str(command)] if renderer is None else [*flag, renderer]
@@ -119,8 +60,8 @@ def renderer_arguments(
 class Tools:
     """What an agent can call; the docstrings and signatures are what it reads."""
 
-    def __init__(self, fits: Fits) -> None:
-        self._fits = fits
+    def __init__(self) -> None:
+        self._started: dict[Path, tuple[subprocess.Popen[bytes], Path]] = {}  # and their messages
 
     def describe(self) -> str:
         """What FIDE does, and how to write the renderer and the file of its parameters."""
@@ -130,9 +71,8 @@ class Tools:
         self, renderer: str | None = None, command: str | None = None, space: str | None = None
     ) -> dict[str, Any]:
         """Look at a renderer before a fit: what each parameter changes, time, noise, failures."""
-        what = renderer_arguments(renderer, command, space)
         done = subprocess.run(
-            [sys.executable, "-m", "fide_plugins", "check", *what, "--json"],
+            [*_FIDE, "check", *_arguments(renderer, command, space), "--json"],
             stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False,
         )  # fmt: skip
         if done.returncode:
@@ -149,23 +89,46 @@ class Tools:
 
         out: the run directory.  options: more flags of `fide fit`, such as ["--mask", "m.png"].
         """
-        what = renderer_arguments(renderer, command, space, "--renderer")
-        numbers = ["--budget", str(budget), "--seed", str(seed)]
-        resumed = ["--resume"] if resume else []
-        self._fits.start([target, *what, *numbers, *resumed, *(options or [])], Path(out))
+        words = [target, *_arguments(renderer, command, space, "--renderer"), "--budget", budget]
+        words += ["--seed", seed, *["--resume"] * resume, *(options or []), "--out", out]
+        if self._is_running(out):
+            raise ValueError(f"a fit in {out} is running; wait, stop it, or name another folder")
+        Path(out).parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(prefix="fide-mcp-", suffix=".log", delete=False) as log:
+            process = subprocess.Popen(
+                [*_FIDE, "fit", *map(str, words)], stdin=subprocess.DEVNULL, stdout=log, stderr=log
+            )
+        self._started[Path(out).resolve()] = process, Path(log.name)
         end = time.monotonic() + wait
-        while self._fits.is_running(Path(out)) and time.monotonic() < end:
+        while self._is_running(out) and time.monotonic() < end:
             time.sleep(0.1)
-        return self._fits.status(Path(out))
+        return self.status(out)
 
     def status(self, out: str) -> dict[str, Any]:
         """State of the fit in a run directory: parameters found so far, loss, what is known."""
-        return self._fits.status(Path(out))
+        found: dict[str, Any] = {"out": out, "state": "starting"}
+        try:
+            run = json.loads(Path(out, "run.json").read_text("utf-8"))
+            found |= {key: run[key] for key in ("state", "status", "totals") if key in run}
+            found["params"] = (run.get("totals") or {}).get("params")
+        except (OSError, ValueError):
+            run = None
+        if self._is_running(out):
+            return {**found, "state": "running"}
+        if Path(out).resolve() not in self._started:
+            if run is None:
+                raise ValueError(f"there is no run in {out}; start one with fit")
+            return found
+        process, log = self._started[Path(out).resolve()]
+        found["messages"] = log.read_text("utf-8", "replace")[-2000:]
+        if process.returncode and found["state"] in ("starting", "running"):
+            found["state"] = "failed"
+        return found
 
     def stop(self, out: str) -> dict[str, Any]:
         """Stop a fit; what it has found is saved, and `fit` with resume=true goes on."""
-        self._fits.stop(Path(out))
-        return self._fits.status(Path(out))
+        self.stop_all(Path(out).resolve())
+        return self.status(out)
 
     def picture(self, out: str) -> Any:
         """Target, best image and difference of a fit; its best image alone while it runs."""
@@ -176,8 +139,20 @@ class Tools:
                 return Image(path=Path(out) / name)
         raise ValueError(f"there is no picture in {out} yet; ask status")
 
+    def stop_all(self, *only: Path) -> None:
+        """Stop all fits, or those in some folders."""
+        for path in only or self._started:
+            if path in self._started:
+                process, _ = self._started[path]
+                process.terminate()
+                process.wait(60)
 
-def server(fits: Fits) -> Any:
+    def _is_running(self, out: str) -> bool:
+        process, _ = self._started.get(Path(out).resolve(), (None, None))
+        return process is not None and process.poll() is None
+
+
+def server(tools: Tools) -> Any:
     """The server with its tools, a `mcp.server.mcpserver.MCPServer`."""
     from mcp.server.mcpserver import MCPServer
     from mcp.server.mcpserver.exceptions import ToolError
@@ -194,7 +169,7 @@ def server(fits: Fits) -> Any:
 
         return told
 
-    made, tools = MCPServer("fide", instructions=GUIDE), Tools(fits)
+    made = MCPServer("fide", instructions=GUIDE)
     for tool in (tools.describe, tools.check, tools.fit, tools.status, tools.stop, tools.picture):
         made.add_tool(answering(tool), structured_output=False)
     return made
@@ -206,13 +181,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Serve until standard input ends; returns the exit code."""
-    fits = Fits()
+    tools = Tools()
     try:
-        made = server(fits)
+        made = server(tools)
     except ImportError as error:
         return complain("fide mcp", str(missing("mcp", f"an agent's server ({error})")))
     try:
         made.run()
     finally:
-        fits.stop()
+        tools.stop_all()
     return 0

@@ -18,12 +18,9 @@ import math
 from typing import Any
 
 from fide_plugins.cli.arguments import path, whole
-from fide_plugins.cli.terminal import USAGE_ERRORS, complain, note, number, plain
-from fide_plugins.errors import DependencyError
+from fide_plugins.cli.terminal import USAGE_ERRORS, complain, number, plain, write_figure
 
 __all__ = ["add_arguments", "execute"]
-
-_FEW = 0.01  # of a model's hypotheses: tails of its density
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -41,20 +38,16 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
     from fide_plugins import solutions
     from fide_plugins.encoders.own import referenced
     from fide_plugins.recording.parameters import rows
-    from fide_plugins.runtime import files
 
     try:
         encoder = None if args.encoder is None else referenced(args.encoder)
         found = solutions.read(args.directory, args.k, encoder)
         if not found.solutions:
             return complain("fide solutions", f"{args.directory} has no image yet; let it run")
-        output = args.output or args.directory / "solutions.png"
-        try:
-            files.write_bytes(output, solutions.figure(found))
-        except DependencyError as error:
+        who, output = "fide solutions", args.output or args.directory / "solutions.png"
+        if write_figure(who, output, lambda: solutions.figure(found)) is None:
             if args.output is not None:
-                raise
-            note(f"fide solutions: {output.name} is left out: {error}")
+                return 2
             output = None
     except USAGE_ERRORS as error:
         return complain("fide solutions", error)
@@ -82,11 +75,6 @@ def _table(found: Any, rows: Any) -> list[str]:
         "  ".join([f"{name:{first}}", *(f"{v:>{w}}" for v, w in zip(values, widths, strict=True))])
         for name, values in cells
     ]
-    if found.elsewhere is not None and found.elsewhere >= _FEW:
-        lines.append(
-            f"{found.elsewhere:.0%} of the model's hypotheses are near none of these: "
-            "probabilities are relative"
-        )
     if any("±" in value for row in rows for value in row.values):
         lines.append(
             "± one standard deviation: how far the truth may be from this answer, by noise and by "
@@ -106,10 +94,8 @@ def _data(solution: Any) -> dict[str, Any]:
 
     std = solution.std
     return {
-        "loss": solution.loss,
-        "evaluation": solution.evaluation,
+        **{name: getattr(solution, name) for name in ("loss", "evaluation", "params")},
         "x": solution.x.tolist(),
-        "params": solution.params,
         "rough": is_rough(solution),
         "std": None if std is None else [None if math.isnan(s) else s for s in std.tolist()],
         "undetermined": list(solution.undetermined),

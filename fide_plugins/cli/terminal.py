@@ -7,12 +7,12 @@ import os
 import shlex
 import sys
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from fide_plugins.errors import FideError
+from fide_plugins.errors import DependencyError, FideError
 
 USAGE_ERRORS = (FideError, ValueError, TypeError, OSError, ImportError)
 """Errors of the arguments or the installation, raised before anything is rendered."""
@@ -55,11 +55,7 @@ def note(text: str) -> None:
     """Print a line to standard error; where that cannot be, the work goes on without."""
     try:
         print(text, file=sys.stderr, flush=True)
-    except OSError as error:
-        if isinstance(error, BrokenPipeError):
-            with suppress(OSError, ValueError, AttributeError):
-                if os.path.sameopenfile(sys.stdout.fileno(), sys.stderr.fileno()):
-                    discard(sys.stdout)  # it is the pipe that nobody reads, too
+    except OSError:
         discard(sys.stderr)
 
 
@@ -98,6 +94,18 @@ def picture_in(out: Path) -> str:
     return plain(out / found[0] if found else out)
 
 
+def write_figure(who: str, path: Path, make: Callable[[], bytes]) -> Path | None:
+    """Write a figure to `path`; None, with a note, without matplotlib, which is an extra."""
+    from fide_plugins.runtime.files import write_bytes
+
+    try:
+        write_bytes(path, make())
+    except DependencyError as error:
+        note(f"{who}: {path.name} is left out: {error}")
+        return None
+    return path
+
+
 def number(value: float | None) -> str:
     """Format a loss."""
     return "none" if value is None else f"{value:.4g}"
@@ -126,7 +134,11 @@ def standard_streams() -> Iterator[None]:
     A file that was opened where standard error is closed would get the messages.  A pipe that
     nobody reads any longer stays a BrokenPipeError.
     """
-    _open_closed()
+    for descriptor in range(3):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # the lowest that is free
     before = sys.stdin, sys.stdout, sys.stderr
     with open(os.devnull) as nothing, open(os.devnull, "w") as nowhere:
         sys.stdin, sys.stderr = before[0] or nothing, before[2] or nowhere
@@ -144,14 +156,6 @@ def discard(stream: Any) -> None:
         os.dup2(nowhere.fileno(), stream.fileno())
 
 
-def _open_closed() -> None:
-    for descriptor in range(3):
-        try:
-            os.fstat(descriptor)
-        except OSError:
-            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # the lowest that is free
-
-
 class _Output:
     """Standard output, whose errors are told from those of the files of a run."""
 
@@ -162,19 +166,15 @@ class _Output:
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
-        with _as_output_error():
-            return int(self._stream.write(text))
+        return int(self._told(self._stream.write, text))
 
     def flush(self) -> None:
-        with _as_output_error():
-            self._stream.flush()
+        self._told(self._stream.flush)
 
-
-@contextmanager
-def _as_output_error() -> Iterator[None]:
-    try:
-        yield
-    except BrokenPipeError:
-        raise
-    except OSError as error:
-        raise OutputError(error.strerror or str(error)) from error
+    def _told(self, call: Callable[..., Any], *arguments: Any) -> Any:
+        try:
+            return call(*arguments)
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            raise OutputError(error.strerror or str(error)) from error

@@ -1,26 +1,4 @@
-"""The parameter transformer of supplement S1.
-
-Image tokens are projected to the network's width and get learned positions.  (With the `patch`
-encoder, whose tokens are the raw pixels of a patch, this projection *is* the paper's learnable
-patch embedding.)  A linear layer turns the noisy parameters into one token each.  Four blocks
-follow: self-attention among the parameter tokens, cross-attention to the image tokens, and a
-two-layer perceptron, each scaled and shifted (FiLM) by the noise level of its own parameter.
-The tokens are concatenated and projected to the parameters.
-
-Choices that the paper leaves open
-----------------------------------
-- Width 64, 4 heads: small enough for 500 examples and a CPU.
-- Number of parameter tokens: d ("quadratic self-attention over the parameters").  The linear
-  layer is dense, so token i depends on all of z; it also gets the noise of parameter i.
-  With n < d tokens (`parameter_tokens`) a token represents d / n neighboring parameters and gets
-  their mean noise; the cost of a block then grows with n instead of d.
-- "Four self-attention blocks followed by cross-attention": each block has both.
-- Perceptron: S1 names none, but the transformer blocks it builds on have one, and without it
-  nothing between the attention layers is non-linear.  Hidden width = 2 * width; `mlp_ratio=0`
-  removes it.
-- Pre-normalization; FiLM replaces gain and offset of the LayerNorm.
-- Noise enters as ln(s) / 4 (Karras et al. 2022) and s, through one hidden layer.
-"""
+"""The parameter transformer of supplement S1; the class says what the paper leaves open."""
 
 from __future__ import annotations
 
@@ -33,10 +11,6 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from fide_plugins.errors import OptionError
-from fide_plugins.runtime.devices import has_bfloat16
-from fide_plugins.runtime.messages import warn_user
-
-__all__ = ["PRECISIONS", "Context", "ParameterTransformer", "autocast", "check_precision"]
 
 Context: TypeAlias = list[tuple[Tensor, Tensor]]
 """Keys and values of the image tokens, one pair a block, each [B or 1, heads, T, width / heads]."""
@@ -96,19 +70,22 @@ class Block(nn.Module):
 class ParameterTransformer(nn.Module):
     """Supplement S1's network: noisy parameters and an image's tokens to parameters.
 
+    Image tokens are projected to the network's width and get learned positions; with the `patch`
+    encoder this *is* the paper's learnable patch embedding.  A dense linear layer turns the noisy
+    parameters into one token each.  Each of four blocks has self-attention among these,
+    cross-attention to the image tokens and a two-layer perceptron, scaled and shifted (FiLM) by the
+    noise level of its own parameter.  The tokens are concatenated and projected to the parameters.
+
+    What the paper leaves open: width 64 and 4 heads, small enough for 500 examples and a CPU; the
+    perceptron, of twice the width, without which nothing between the attention layers is
+    non-linear (`mlp_ratio=0` removes it); pre-normalization, where FiLM replaces gain and offset;
+    noise enters as ln(s) / 4 (Karras et al. 2022) and s, through one hidden layer.
+
     Parameters
     ----------
-    dim : d, the number of parameters.
-    image_tokens : T, the number of tokens of an image.
-    parameter_tokens : n, tokens of the parameters; None: d, one each, as published.
-    channels : C, the channels of a token.
+    dim, image_tokens, channels : d, T, and C of an image token; all sizes are at least 1.
     generator : draws the initial weights, on the CPU, whatever the device the network moves to.
-    width, heads, blocks, mlp_ratio : see the module's text.
-
-    Raises
-    ------
-    OptionError
-        if a size is not positive or `width` is no multiple of `heads`.
+    width, heads, blocks, mlp_ratio, noise_width : sizes; `width` is a multiple of `heads`.
     """
 
     def __init__(
@@ -121,31 +98,27 @@ class ParameterTransformer(nn.Module):
         width: int = 64,
         heads: int = 4,
         blocks: int = 4,
-        parameter_tokens: int | None = None,
         mlp_ratio: int = 2,
         noise_width: int = 32,
     ) -> None:
-        sizes = {"dim": dim, "image_tokens": image_tokens, "channels": channels, "width": width}
-        sizes |= {"heads": heads, "blocks": blocks, "noise_width": noise_width}
-        n = dim if parameter_tokens is None else min(parameter_tokens, dim)
-        sizes |= {"parameter_tokens": n}
-        for name, size in sizes.items():
-            if size < 1:
-                raise OptionError(f"{name} of a denoiser is at least 1, got {size}")
-        if width % heads:
-            raise OptionError(f"width is a multiple of heads, got {width=} and {heads=}")
+        sizes = dim, image_tokens, channels, width, heads, blocks, noise_width
+        if min(sizes) < 1 or width % heads:
+            raise OptionError(
+                "sizes of a denoiser are at least 1, and width is a multiple of heads; got "
+                f"{dim=}, {image_tokens=}, {channels=}, {width=}, {heads=}, {blocks=}"
+            )
         super().__init__()
-        self.dim, self.width, self.parameter_tokens = dim, width, n
+        self.dim, self.width = dim, width
         self.image_tokens, self.channels = image_tokens, channels
         with torch.device("meta"):  # no weights yet, so the global generator is not touched
             self.image_in = nn.Linear(channels, width)
             self.position = nn.Parameter(torch.empty(image_tokens, width))
             self.noise_in = nn.Linear(2, noise_width)
-            self.parameter_in = nn.Linear(dim, n * width)
+            self.parameter_in = nn.Linear(dim, dim * width)
             self.blocks = nn.ModuleList(
                 Block(width, heads, mlp_ratio * width, noise_width) for _ in range(blocks)
             )
-            self.parameter_out = nn.Linear(n * width, dim)
+            self.parameter_out = nn.Linear(dim * width, dim)
         self.float().to_empty(device="cpu")  # whatever PyTorch's default is
         self._initialize(generator)
 
@@ -170,15 +143,12 @@ class ParameterTransformer(nn.Module):
     def forward(self, z: Tensor, s: Tensor, context: Context) -> Tensor:
         """Noisy parameters z (B, d), their noise s (B, d), an image's context -> (B, d)."""
         level = torch.stack([s.clamp_min(SMALLEST_NOISE).log() / 4, s], dim=-1)  # (B, d, 2)
-        if self.parameter_tokens < self.dim:  # each token gets the mean noise of its parameters
-            means = F.adaptive_avg_pool1d(level.transpose(1, 2), self.parameter_tokens)
-            level = means.transpose(1, 2)  # (B, n, 2)
-        noise = F.silu(self.noise_in(level))  # (B, n, noise_width)
-        h = self.parameter_in(z).view(-1, self.parameter_tokens, self.width)  # (B, n, width)
+        noise = F.silu(self.noise_in(level))  # (B, d, noise_width)
+        h = self.parameter_in(z).view(-1, self.dim, self.width)  # (B, d, width)
         for block, key_value in zip(self._blocks(), context, strict=True):
             h = block(h, noise, key_value)
         out: Tensor = self.parameter_out(h.flatten(1))
-        return out.to(z.dtype)  # back to single precision if the products were in bfloat16
+        return out
 
     def _blocks(self) -> list[Block]:
         return [block for block in self.blocks if isinstance(block, Block)]
@@ -194,30 +164,6 @@ def merge(h: Tensor) -> Tensor:
     return h.transpose(1, 2).flatten(2)
 
 
-PRECISIONS = ("float32", "bfloat16")
-
-
-def check_precision(precision: str, device: torch.device) -> str:
-    """Precision for the device: float32, with a RuntimeWarning, if it does not support bfloat16.
-
-    Raises OptionError for a name that is not in `PRECISIONS`.
-    """
-    if precision not in PRECISIONS:
-        raise OptionError(f"precision must be one of {', '.join(PRECISIONS)}, not {precision!r}")
-    if precision == "bfloat16" and not has_bfloat16(device):
-        warn_user(
-            f"this {device.type} does not support precision='bfloat16' in hardware; float32 is "
-            "used instead"
-        )
-        return "float32"
-    return precision
-
-
-def autocast(precision: str, device: torch.device) -> AbstractContextManager[object]:
-    """Context that computes products in this precision, and sensitive sums in float32.
-
-    It does not depend on the autocast state of the calling thread, which other threads do not
-    share.  It caches no copies of weights, which would outlive a training step in an outer block.
-    """
-    low = precision == "bfloat16"
-    return torch.autocast(device.type, torch.bfloat16, enabled=low, cache_enabled=False)
+def full_precision(device: torch.device) -> AbstractContextManager[object]:
+    """Context of products in float32, whatever the autocast state of the calling thread."""
+    return torch.autocast(device.type, torch.bfloat16, enabled=False, cache_enabled=False)

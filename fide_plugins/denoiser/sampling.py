@@ -1,17 +1,6 @@
-"""Sampling: Euler's method on the reverse-time ODE.
+"""Sampling: Euler's method on the reverse-time ODE (Karras et al. 2022).
 
-With noise s = t * std the probability-flow ODE is dz/dt = (z - x_hat(z, s)) / t (Karras et al.
-2022, eq. 3 with sigma(t) = t).  An Euler step from t to t' keeps the fraction t'/t of the noise:
-
-    z' = z + (t' - t) * (z - x_hat) / t = x_hat + (t' / t) * (z - x_hat)
-
-All parameters have the same step in t, but each has its own noise.
-
-A preconditioner is the meaning of the network's output: it turns a `Network` into a `Denoise`:
-
-- `x_prediction`: the output is x itself (the published method, after Li and He 2025).
-- `whitened`: the parameters are scaled to mean 0 and variance 1, and the output is the scaled
-  remainder after the best Gaussian estimate without an image, z / (1 + s^2) (Karras et al. 2022).
+A preconditioner turns a `Network` into a `Denoise`: it says what the network's output means.
 """
 
 from __future__ import annotations
@@ -25,8 +14,6 @@ from torch import Tensor
 from fide_plugins.denoiser import Denoise, Network
 from fide_plugins.options import PAPER_SCHEDULE
 from fide_plugins.validation.options import check_schedule
-
-__all__ = ["euler", "evenly", "whitened", "x_prediction"]
 
 CENTER = 0.5  # the start of every search; Algorithm 1 counts parameters from there (mu = 0)
 
@@ -59,17 +46,15 @@ def whitened(network: Network, mean: Tensor | float, std: Tensor | float) -> Den
 
 
 def evenly(steps: int) -> tuple[float, ...]:
-    """Schedule of evenly spaced times from that of the paper; 3 steps give the published one.
-
-    >>> evenly(2), evenly(3) == PAPER_SCHEDULE
-    ((0.3, 0.15), True)
-    """
+    """Schedule of evenly spaced times from that of the paper; 3 steps give the published one."""
     return tuple(round(PAPER_SCHEDULE[0] * (steps - i) / steps, 12) for i in range(steps))
 
 
 @torch.no_grad()
 def euler(denoise: Denoise, z: Tensor, std: Tensor, schedule: Sequence[float]) -> Tensor:
     """Integrate `z` [B, d] from time schedule[0] to time 0.
+
+    A step from t to t' keeps the fraction t'/t of the noise: z' = x_hat + (t' / t) * (z - x_hat).
 
     std: [d], noise at time 1.  Parameters with std = 0 become the estimate of `denoise`.
     """

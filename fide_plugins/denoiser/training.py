@@ -1,68 +1,24 @@
-"""Training: Adam on pairs of parameters and images (Algorithm 1, line 8; supplement S1).
-
-Interpretation of the noise of S1
----------------------------------
-S1: the timestep differs between parameters, and "the square root of the diagonal of the covariance
-matrix" is the timestep "at the end of the diffusion process".  So the noise is std = sqrt(diag
-Sigma) at time 1 and s = t * std at time t; training draws one t ~ U(0, 1) for each example, and the
-network gets the vector s.  The schedule [0.3, 0.2, 0.1] has the same unit: a candidate of the
-search distribution is taken to lie 0.3 std from an answer.
-
-Other interpretations that the code allows: an absolute s, the same for all parameters (std = 1 and
-levels up to 0.36); a start at time 1, the noise of a CMA-ES sample (schedule 1.0, 0.6, 0.3).  Noise
-eps ~ N(0, Sigma) with all correlations would need a change; the paper finds the diagonal enough.
-"""
+"""Training: Adam on pairs of parameters and images (Algorithm 1, line 8; supplement S1)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from fide_plugins.denoiser import Denoise, Network
-from fide_plugins.denoiser.network import Context
+from fide_plugins.denoiser.network import ParameterTransformer
 from fide_plugins.runtime.devices import BatchSize
-
-__all__ = [
-    "Backup",
-    "Conditional",
-    "Objective",
-    "Preconditioner",
-    "WhitenedLoss",
-    "XLoss",
-    "adam_state",
-    "all_finite",
-    "fit",
-    "load_adam_state",
-]
 
 Preconditioner = Callable[[Network], Denoise]
 
 
-class Conditional(Protocol):
-    """A network that encodes an image once, and uses it for many noisy parameters."""
-
-    def encode_context(self, tokens: Tensor) -> Context:
-        """Context of the network for image tokens (B, T, C)."""
-        ...
-
-    def __call__(self, z: Tensor, s: Tensor, context: Context) -> Tensor:
-        """Noisy parameters and noise, (B, d) each, to (B, d)."""
-        ...
-
-
-class Objective(Protocol):
-    """Training objective."""
-
-    def __call__(
-        self, denoise: Denoise, x: Tensor, std: Tensor, generator: torch.Generator
-    ) -> Tensor:
-        """Scalar loss of `denoise` on the clean parameters x (B, d), noise at time 1 `std` (d)."""
-        ...
+Objective = Callable[[Denoise, Tensor, Tensor, torch.Generator], Tensor]
+"""Scalar loss of a denoiser on clean parameters x (B, d), noise `std` (d,) at time 1."""
 
 
 def _normal(shape: tuple[int, ...], like: Tensor, generator: torch.Generator) -> Tensor:
@@ -71,7 +27,11 @@ def _normal(shape: tuple[int, ...], like: Tensor, generator: torch.Generator) ->
 
 
 class XLoss:
-    """Objective of the paper: || x_hat(x + s * eps, s) - x ||^2, s = t * std, t ~ U(0, 1)."""
+    """Objective of the paper: || x_hat(x + s * eps, s) - x ||^2, s = t * std, t ~ U(0, 1).
+
+    S1: the timestep differs between parameters, and sqrt(diag Sigma) is that at the end of the
+    diffusion process.  So one t is drawn for each example, and the network gets the vector s.
+    """
 
     def __call__(
         self, denoise: Denoise, x: Tensor, std: Tensor, generator: torch.Generator
@@ -106,7 +66,7 @@ class WhitenedLoss:
 
 
 def fit(
-    network: Conditional,
+    network: ParameterTransformer,
     precondition: Preconditioner,
     objective: Objective,
     optimizer: torch.optim.Optimizer,
@@ -117,16 +77,13 @@ def fit(
     epochs: int,
     batch_size: BatchSize,
     generator: torch.Generator,
-    computing: Callable[[], AbstractContextManager[object]] = nullcontext,
 ) -> Tensor:
     """Train for `epochs` passes over the pairs (x [n, d], tokens [n, T, C]), in random order.
 
     tokens: may be on another device than x, if that has too little memory for all of them.
     batch_size: size of a minibatch; the last one of an epoch may be smaller.
-    computing: context of the forward pass only; a gradient has the precision of its product.
 
-    Returns the mean loss of each epoch, [epochs], on the device: reading it would wait for the
-    device.
+    Returns the mean loss of each epoch, [epochs], on the device.
     """
     losses = torch.zeros(epochs, device=x.device, dtype=x.dtype)
     for epoch in range(epochs):
@@ -135,10 +92,9 @@ def fit(
         def step(piece: slice, order: Tensor = order, total: Tensor = losses[epoch]) -> None:
             batch = order[piece]
             with _rewound(generator):
-                with computing():
-                    context = network.encode_context(tokens[batch.to(tokens.device)].to(x))
-                    denoise = precondition(partial(network, context=context))
-                    loss = objective(denoise, x[batch], std, generator)
+                context = network.encode_context(tokens[batch.to(tokens.device)].to(x))
+                denoise = precondition(partial(network, context=context))
+                loss = objective(denoise, x[batch], std, generator)
                 optimizer.zero_grad()
                 loss.backward()  # type: ignore[no-untyped-call]
             optimizer.step()

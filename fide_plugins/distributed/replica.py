@@ -1,43 +1,12 @@
-"""One optimizer in many processes: each keeps a replica, and all are told the same in one order.
+"""One optimizer in many processes: each keeps a replica, and all are told the same *log*.
 
-Nothing is shared but the *log*, which somebody keeps (a database, say): points with their losses
-and features, in an order on which all agree.  An optimizer is a function of its seed and of what it
-was told, so replicas that were told the same log propose the same candidates, and
-
-- a candidate has a name, (generation, slot), that means the same to everybody: who knows that slots
-  0 to 4 are out may take slot 5 without asking anybody;
-- slots have no end: those beyond the generation's size are drawn from the same distribution, by a
-  generator made from (seed, generation, slot), so that drawing them changes nothing; as soon as
-  half of the generation is known, who asks for one is better off with the `newest`, though;
-- a generation that needs just its own candidates, a test, has them again in the slots beyond its
-  size, in turn: whose slot never came back, or was never given to anybody, is asked again;
-- who comes later, or was away, catches up by being told the log; nothing is rendered again.
-
-Rounding that differs from machine to machine, or features that are not known to all their digits
-everywhere, may change a candidate a little; it is then told as what was rendered.  They must not
-change *when a search is over*, and whether images say where the next one begins, or losses only:
-these decide what the next generation is for and how large it is. Whoever asks in a generation says
-in which one its search `began`, and whether it was `guided` there, and the others follow.
-
-What an entry of the log counts for is its `Role`:
-
-========  ========================================================================================
-member    a candidate of the present generation: as if one optimizer had asked it
-altered   asked in the present generation and yet not the candidate of that name: a parameter was
-          fixed by somebody, or another machine rounds otherwise
-late      asked in an earlier generation of the present search, or in this one when all of its
-          candidates were pending
-injected  all others: never asked, or asked in an earlier search
-========  ========================================================================================
-
-All but injected and spare candidates count towards the generation in which they arrive, altered and
-late ones with their steps cut to what a sample's may be (`search.cma_es`): they are
-`off_distribution`.  Injected ones count as in `FIDE.tell`.  Where a generation needs just its own
-candidates, late and repeated ones are spare (`population.candidate.CandidateRole`).
+The log has points with their losses and features, in an order on which all agree.  So a candidate
+has a name, (generation, slot), that means the same to everybody.
 """
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Mapping
 from enum import StrEnum
 from typing import Any
@@ -46,22 +15,31 @@ import numpy as np
 from torch import Tensor
 
 from fide_plugins.evaluation import Evaluation
-from fide_plugins.fide import FIDE, Decision
+from fide_plugins.fide import FIDE
 from fide_plugins.population import Candidate, CandidateRole, Population
 from fide_plugins.population.candidate import columns
 from fide_plugins.runtime.machine import timed
 from fide_plugins.saving import as_arrays
-from fide_plugins.search.policy import Stage
+from fide_plugins.search.moves import Stage
 from fide_plugins.types import Float64
 from fide_plugins.validation.points import as_points
-
-__all__ = ["Replica", "Role"]
 
 _ROUNDING = 1e-9  # of a parameter: what is lost on the way through a user's scale and a database
 
 
 class Role(StrEnum):
-    """What an entry of the log counts for."""
+    """What an entry of the log counts for.
+
+    MEMBER: a candidate of the present generation: as if one optimizer had asked it.
+    ALTERED: asked in the present generation and yet not the candidate of that name: a parameter was
+        fixed by somebody, or another machine rounds otherwise.
+    LATE: asked in an earlier generation of the present search, or in this one when all of its
+        candidates were pending.
+    INJECTED: all others: never asked, or asked in an earlier search.
+
+    Altered and late ones count towards the generation in which they arrive, `off_distribution`;
+    where that needs just its own candidates, late and repeated ones are spare.
+    """
 
     MEMBER = "member"
     ALTERED = "altered"
@@ -71,6 +49,11 @@ class Role(StrEnum):
 
 class Replica:
     """An optimizer that is told a log, and that nobody else asks or tells.
+
+    Slots have no end: those beyond the generation's size are drawn from the same distribution, by a
+    generator made from (seed, generation, slot); a test has its own candidates again there, in
+    turn.  Rounding that differs from machine to machine must not change *when a search is over*:
+    whoever asks says in which generation its search `began`, and whether it was `guided`.
 
     snap: what a candidate (d,) becomes before it is rendered, where parameters are whole numbers,
         choices, or of a scale of their own.
@@ -119,10 +102,7 @@ class Replica:
         """Better one than the candidate in that slot, if the generation does not need that.
 
         out: entries that are still to be told; with these and those told the generation may be
-            complete, and then what is asked now is for the next one.
-
-        It is drawn from what is known when it is asked (`State.preview_search`), so it differs from
-        worker to worker, and from one moment to the next.
+            complete, and then what is asked now is for the next one (`State.preview_search`).
         """
         if slot >= self.size <= self._population.evaluated + out:
             key = (self.generation, slot, 1)  # never that of `candidate`
@@ -133,18 +113,17 @@ class Replica:
         return self.candidate(slot)
 
     def _preview(self, rng: np.random.Generator) -> Candidate | None:
-        """Draw one candidate, from the search and the proposer as they would be updated now.
+        """Draw one candidate, from search and proposer as they would be updated now; None: neither.
 
-        None where too few results of the generation are known, or it is not of a search.
-        Changes nothing: proposers, too, are updated in a copy (line 8 of Algorithm 1).  A network
-        is not trained for this: it proposes as it is.
+        Changes nothing: a lazy proposer is updated in a copy; a network proposes as it is.
         """
         state = self.optimizer.state
         search, proposer = state.preview_search(), state.proposer
         if search is None:
             return None
-        if proposer is not None and state.samples:
-            proposer = proposer.preview(*columns(state.samples), state.search.std)
+        if proposer is not None and proposer.lazy and state.samples:
+            proposer = copy.copy(proposer)
+            proposer.update(*columns(state.samples), state.search.std)
         x, z = search.sample(1, rng)  # (1, d)
         index, proposed = state.population.drawn, False
         if proposer is not None and proposer.ready and rng.random() < state.gate.proposed:
@@ -186,7 +165,7 @@ class Replica:
         role, x = self._register(x, generation, slot, proposed)
         stage, completed = self._stage_of_search(), self._population.generations
         try:
-            optimizer.enter(as_points(x[None], optimizer.dim), results, Decision(over, guided))
+            optimizer.enter(as_points(x[None], optimizer.dim), results, (over, guided))
         finally:  # what training raises comes after the generation was completed
             if self._population.generations != completed:
                 self.generation += 1

@@ -1,11 +1,8 @@
 """Renders around the answer of a fit, from which its standard deviations are computed.
 
-Two renders a number, at either side of the answer, and one of the answer itself, which tells
-whether the renderer has noise: then nothing is said.  At a wall, at a constraint and where a render
-fails one side is enough.  A parameter whose image changes by curvature rather than by slope, or of
-which one side is known only, is rendered again, nearer.  Where the image changes there, too, in
-jumps, as hard edges do, no less than that step is claimed.  Where nothing changes the step is
-doubled until something does, and no less than half of it is claimed.
+Two renders a number, at either side, and one of the answer itself, which tells whether the renderer
+has noise: then nothing is said.  Where the image bends, or one side is known only, a nearer step
+tells a slope from a jump; where nothing changes the step grows.  No less than a jump is claimed.
 """
 
 from __future__ import annotations
@@ -30,7 +27,6 @@ __all__ = ["MOST_NUMBERS", "numbers", "std_around"]
 
 MOST_NUMBERS = 500  # of the answer, above which slopes do not fit in little memory
 _STEP, _NEARER = 0.005, 0.2  # of the cube; times as far
-_HALVINGS = 10  # of a step that constraints do not allow
 _LEAST = 0.25  # of a step, below which a wall leaves no side
 _TURN = 0.4  # of a period, the farthest step: at half of it both sides are one
 _CURVED = 0.25  # energy of the second difference beside that of the first
@@ -83,8 +79,7 @@ class _Seen:
     """What steps on one axis have shown.
 
     slopes: (h, w, 3) of each view, reduced.  curvature: energy of the second difference beside that
-    of the first; None: one side is known only.  step: the farther one.  changed: whether the image
-    has.  least: what may be claimed.
+    of the first; None: one side is known only.  least: what may be claimed.
     """
 
     slopes: list[Float64]
@@ -113,18 +108,15 @@ def _look_closer(around: _Around, seen: dict[int, _Seen]) -> None:
     )
     for axis in asked:
         far, closer = seen[axis], found.get(axis)
-        if far.curvature is None:
-            if closer is None:  # nothing tells a slope from a jump
-                del seen[axis]
-                continue
-            straight = closer.changed and far.differs(closer) <= _CURVED
-        else:
-            straight = (
-                closer is not None
-                and closer.changed
-                and closer.curvature is not None
-                and closer.curvature < _STRAIGHTER * far.curvature
-            )
+        if far.curvature is None and closer is None:  # nothing tells a slope from a jump
+            del seen[axis]
+            continue
+        straight = closer is not None and closer.changed
+        if closer is not None and far.curvature is None:
+            straight &= far.differs(closer) <= _CURVED
+        elif closer is not None and far.curvature is not None:
+            bent = np.inf if closer.curvature is None else closer.curvature
+            straight &= bent < _STRAIGHTER * far.curvature
         if straight and closer is not None:
             seen[axis] = closer
         else:
@@ -140,7 +132,7 @@ def _look_farther(around: _Around, seen: dict[int, _Seen]) -> None:
     while still:
         rounds = max(1.0, around.left // (2 * len(still)))
         factor = max(2.0, (1 / min(still.values())) ** (1 / rounds))
-        sides = {axis: around.either_side(axis, factor * s, 0) for axis, s in still.items()}
+        sides = {axis: around.either_side(axis, factor * s) for axis, s in still.items()}
         sides = {axis: d for axis, d in sides.items() if max(d) > still[axis]}  # else: the end
         try:
             found = around.look(sides)
@@ -191,18 +183,9 @@ class _Around:
         (again,) = self._render(self._x[None])
         return again is not None and bool(np.abs(again - self._image).max() <= _SAME)
 
-    def either_side(self, axis: int, step: float, halvings: int = _HALVINGS) -> tuple[float, float]:
-        """Distances of the points below and above on an axis; 0: none there.
-
-        At a wall, and where a step is not valid, there is none; on a periodic axis there is no
-        wall.  The step is halved where neither side is valid.
-        """
-        for _ in range(halvings + 1):
-            low, high = self._reach(axis, -step), self._reach(axis, step)
-            if low or high:
-                break
-            step /= 2
-        return low, high
+    def either_side(self, axis: int, step: float) -> tuple[float, float]:
+        """Distances of the points below and above on an axis; 0: a wall, or not valid."""
+        return self._reach(axis, -step), self._reach(axis, step)
 
     def look(self, sides: Mapping[int, tuple[float, float]]) -> dict[int, _Seen]:
         """What points at such distances show; axes of which nothing can be rendered are missing."""

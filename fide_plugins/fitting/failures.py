@@ -1,19 +1,11 @@
 """Renders that gave no image: counted, the first one shown whole, and when to give up.
 
-Many parameters may be invalid: of CAD models often most are, and only the renderer knows it.  So a
-fit goes on as long as renders succeed now and then.  It gives up where
-
-- the first 8 all failed by errors which other parameters hardly mend (`Failed.broken`),
-- none of the first 200 gave an image, of which the later ones are all over the space; or none
-  of the first 40, where these took ten minutes,
-- as many failed in a row as is very unlikely after what succeeded before: 50, or 15 times the
-  number that one success has taken,
-- more of the last 50 failed than the user allows.
+Of CAD models often most parameters are invalid, and only the renderer knows it.  So a fit goes on
+as long as renders succeed now and then.
 """
 
 from __future__ import annotations
 
-import time
 from collections import deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -27,13 +19,10 @@ from fide_plugins.runtime.messages import warn_user
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
     from fide_plugins.fitting.result import Result
-    from fide_plugins.types import Float32
-    from fide_plugins.views import Views
 
 
 _FIRST = 8  # renders after which errors are looked at, and other places tried
 _FIRST_EVERYWHERE = 200  # renders which must not all fail
-_FIRST_SLOW, _SLOW = 40, 600.0  # renders, after so many seconds, which must not all fail
 _WINDOW = 50  # latest renders that are looked at
 _REMEDY = (
     "; if most parameters are invalid, say which are valid, by constraints=function of the "
@@ -86,12 +75,10 @@ class Failure:
 
     @property
     def brief(self) -> str:
-        """The same without a traceback or a program's output, but for its last line."""
+        """The same with the last line of a traceback, or of a program's output, only."""
         end = self.details.rpartition("\n")[2].strip()
-        told = not end or end in self.reason
-        return "\n".join(
-            filter(None, [self.reason if told else f"{self.reason}: {end}", self._call])
-        )
+        told = self.reason if not end or end in self.reason else f"{self.reason}: {end}"
+        return "\n".join(filter(None, [told, self._call]))
 
     @property
     def _call(self) -> str:
@@ -100,11 +87,11 @@ class Failure:
 
 @dataclass
 class Failures:
-    """Failures of a fit.
+    """Failures of a fit, with those of earlier calls; first: of this call.
 
-    count: so far; earlier calls that were resumed included.
-    max_failures: share of the latest renders that may fail, in (0, 1].
-    first: of this call.
+    It gives up where the first 8 all failed by errors which other parameters hardly mend; where
+    none of the first 200 gave an image; where as many failed in a row as is very unlikely after
+    what succeeded before; where more of the last 50 failed than `max_failures`, in (0, 1], allows.
     """
 
     count: int = 0
@@ -114,7 +101,6 @@ class Failures:
     _images: int = 0
     _in_a_row: int = 0  # failed since the last image
     _all_broken: bool = True
-    _began: float = field(default_factory=time.monotonic)
     _latest: deque[bool] = field(default_factory=lambda: deque(maxlen=_WINDOW))  # failed?
 
     def note_image(self) -> None:
@@ -154,8 +140,7 @@ class Failures:
         if not self._images:
             if self._done >= _FIRST and self._all_broken:
                 return f"the first {self._done} renders all failed"
-            slow = time.monotonic() - self._began > _SLOW
-            if self._done >= (_FIRST_SLOW if slow else _FIRST_EVERYWHERE):
+            if self._done >= _FIRST_EVERYWHERE:
                 return f"the first {self._done} renders all failed, all over the space{_REMEDY}"
             return ""
         failed, allowed = sum(self._latest), self.max_failures
@@ -171,85 +156,34 @@ class Failures:
 
 _BETTER = 0.25  # of the squared error, from which on a change of all values explains it
 _LARGE = 50.0  # factor that no choice of parameters has brought about
-_NARROW = 0.02  # of the target's range, of which renders show something
 
 
-class Extremes:
-    """Range of the values of all renders, as far as it is narrow: then nothing more is measured.
-
-    views: of the target; there is nothing to measure without a range of values.
-    """
-
-    def __init__(self, views: Views) -> None:
-        self._views = views
-        self._low, self._high = np.inf, -np.inf
-        low, high = self._of(views.target)
-        self._span = high - low
-        self.wanted = views.values is not None and self._span > 0
-        """Whether further renders are to be measured."""
-
-    def note(self, image: Float32) -> None:
-        """Count a packed image in [0, 1], if it is wanted."""
-        if not self.wanted:
-            return
-        low, high = self._of(image)
-        self._low, self._high = min(self._low, low), max(self._high, high)
-        self.wanted = self._high - self._low < _NARROW * self._span
-
-    def suspicion(self) -> str | None:
-        """What is wrong if the renders are narrow."""
-        values = self._views.values
-        if not self.wanted or values is None or self._low > self._high:
-            return None
-        ends = [values.low + end * values.span for end in (self._low, self._high)]
-        return (
-            f"all renders have values in [{ends[0]:.4g}, {ends[1]:.4g}], less than {_NARROW:.0%} "
-            f"of the range of the target, {self._span * values.span:.4g}: are they on its scale? "
-            "With value_range all types are numbers as they are; where floats in [0, 1] meet a "
-            "target of uint8, return 255 * image"
-        )
-
-    def _of(self, image: Float32) -> tuple[float, float]:
-        low, high = np.inf, -np.inf
-        for view, part in zip(self._views.views, self._views.split(image[None]), strict=True):
-            seen = part[0] if view.hidden is None else part[0][~view.hidden]
-            low, high = min(low, float(seen.min())), max(high, float(seen.max()))
-        return low, high
-
-
-def suspicion_of(optimizer: FIDE, extremes: Extremes) -> str | None:
+def suspicion_of(optimizer: FIDE) -> str | None:
     """Sentence that says what seems wrong with all renders; None: nothing.
 
-    extremes: of these.
     Compared are mean squared errors of the best image, whatever the loss is.
     """
     best = optimizer.state.best
     image = None if best is None else best.solution.image
     if image is None or optimizer.status.code in ("solved", "noise"):
         return None
-    if narrow := extremes.suspicion():
-        return narrow
     views, error = optimizer.views, optimizer.views.squared_error(image)
+    one, other = image.astype(np.float64).ravel(), views.target.astype(np.float64).ravel()
+    factor = float(one @ other) / max(float(one @ one), 1e-300)
     swapped = views.squared_error(np.ascontiguousarray(image[..., ::-1]))
-    if swapped < _BETTER * error:
-        return (
-            f"the best image fits much better with red and blue swapped (mean squared error "
-            f"{swapped:.3g} in place of {error:.3g}): if the renderer gives BGR, as OpenCV does, "
-            "return image[..., ::-1]"
-        )
-    factor = _factor(image, views.target)
     scaled = views.squared_error(np.clip(np.float32(factor) * image, 0.0, 1.0))
-    if factor > _LARGE and scaled < _BETTER * error:
-        return (
-            f"the best image fits much better if it is {factor:.3g} times as bright (mean squared "
-            f"error {scaled:.3g} in place of {error:.3g}): are the renders on the target's scale? "
-            "uint8 is in [0, 255], floats are in [0, 1]; masks of 0 and 1 are bool"
-        )
-    return None
+    what, remedy, left = f"{factor:.3g} times as bright", _SCALE, scaled
+    if swapped < _BETTER * error:
+        what, remedy, left = "with red and blue swapped", "return image[..., ::-1]", swapped
+    elif factor <= _LARGE or scaled >= _BETTER * error:
+        return None
+    return (
+        f"the best image fits much better {what} (mean squared error {left:.3g} in place of "
+        f"{error:.3g}): {remedy}"
+    )
 
 
-def _factor(image: Float32, target: Float32) -> float:
-    """Factor by which an image is nearest to the target."""
-    one, other = image.astype(np.float64).ravel(), target.astype(np.float64).ravel()
-    square = float(one @ one)
-    return float(one @ other) / square if square > 0 else 0.0
+_SCALE = (
+    "are the renders on the target's scale? uint8 is in [0, 255], floats are in [0, 1], masks of 0 "
+    "and 1 are bool; with value_range all numbers are as they are, so return 255 * image for bytes"
+)

@@ -18,7 +18,6 @@ from fide_plugins.fitting.callbacks import Callbacks, Event, Run, reporting
 from fide_plugins.fitting.failures import (
     CallbackError,
     EvaluationError,
-    Extremes,
     Failures,
     FitError,
     suspicion_of,
@@ -84,9 +83,6 @@ class Fitting:
         self._checkpoint_every, self._plan = checkpoint_every, plan or {}
         self._failures = Failures(self.record.failures, max_failures)
         self._comparisons = optimizer.state.comparisons
-        self._extremes = Extremes(optimizer.views)
-        if self.record.image is not None:
-            self._extremes.note(self.record.image)
         self._done_before = self.record.evaluations
         self._render_seconds = 0.0  # of renders of this call's search that gave an image
         self._shown_at = 0.0
@@ -162,16 +158,15 @@ class Fitting:
         self._loop.tick()
         r, image = self.record, None
         better = math.isfinite(loss) and loss < r.best_loss
-        if better or r.first_image is None or self._extremes.wanted or self._callbacks:
+        if better or r.first_image is None or self._callbacks:
             image = canonical(self.optimizer, outcome.image)
-            self._extremes.note(image)
         if r.first_image is None:
             r.first_image = as_compared(self.optimizer, outcome.image)
         improved = r.add_one(X[0], image, loss)
         best, changes = self.optimizer.state.best, self.optimizer.state.comparisons
         if best is not None and changes != self._comparisons:
             self._comparisons, improved = changes, False
-            r.judge_best(best.solution)
+            r.keep_only(best.solution)
         self._loop.whole = True
         self._failures.note_image()
         if self._callbacks:
@@ -287,7 +282,7 @@ class Fitting:
                 note_unsaved(error, unsaved)
             error = error or unsaved
         result = self._result(stopped)
-        if suspicion := suspicion_of(self.optimizer, self._extremes):
+        if suspicion := suspicion_of(self.optimizer):
             warn_user(suspicion)
         try:
             with interrupts.unblocked():

@@ -1,14 +1,7 @@
-"""The loop of every run: ask, render, tell, record, until a rule says stop.
+"""The loop of `fit` and of the runs of the lab: ask, render, tell, record, until a rule says stop.
 
-`fit`, `fide run` and the comparisons share it.  What they ask for, and what becomes of what was
-rendered, are their `Steps`.
-
-`fit` asks one candidate for each free worker, and nothing waits for a generation.  With several
-workers the next candidate is asked before the finished one is told, since telling takes longer: the
-worker goes on meanwhile.  With one worker the candidate that is asked knows all that was rendered,
-so the same seed gives the same fit, that of ``x = opt.ask(1); opt.tell(x, [render(x)])``.
-
-The runs of the lab ask a generation, which is rendered in pieces, see `fide_lab.run.loop`.
+With one worker the candidate that is asked knows all that was rendered: the same seed gives the
+same fit, that of ``x = opt.ask(1); opt.tell(x, [render(x)])``.
 """
 
 from __future__ import annotations
@@ -56,18 +49,15 @@ class Loop:
     """Asks, renders, tells and records until a rule says stop.
 
     steps: what is asked, and what becomes of what was rendered.
-    workers: where candidates are rendered, several at a time.
     record: history of the run, of earlier calls too; what was pending is rendered first.
     interrupts: Ctrl-C and SIGTERM stop the waiting, but no step of the optimizer.
     timeout: seconds that a render may take.
-    piece: most candidates that are rendered together, as X (n, dim); None: each by itself, as x
-        (dim,).
+    piece: most candidates that are rendered together, as X (n, dim); None: each as x (dim,).
     checkpoint_every: seconds between checkpoints, see `CheckpointTimer`.
 
     whole: whether record and optimizer agree, so that they may be saved.
     stopped: why the run ends, where its steps say so.
-    search_began, search_ended: when renders began to be counted, and when no more were, by
-        `time.perf_counter`.
+    search_began, search_ended: when renders began and ceased to count, by `time.perf_counter`.
     """
 
     stopped: str | None
@@ -170,13 +160,10 @@ class Loop:
     def _step(self) -> str | None:
         """Wait for a render, and tell it; returns why the run is over, None if it is not."""
         self._fill()
-        if not self._running and not self._goes_on():
-            if self._left() == 0.0:  # by now: another call may go on
-                return "time"
+        if not self._running:
             raise GivenUpError(
-                f"given up: all {self.workers.number} workers hang in a render (those of Dask may "
-                "have died), and threads cannot be killed; make render raise when it takes too "
-                "long, or take processes"
+                f"given up: all {self.workers.number} workers hang in a render, and threads cannot "
+                "be killed; make render raise when it takes too long, or take processes"
             )
         task = self._next()
         if task is None:
@@ -221,14 +208,6 @@ class Loop:
         budget, done = self._stopping.budget, self.record.evaluations
         return bool(self._waiting) or budget is None or done + len(self._running) < budget
 
-    def _goes_on(self) -> bool:
-        """Whether renders are under way once a worker is back; there is none now."""
-        with self._rendering():
-            back = self.workers.comes_back(self._left())
-        if back:
-            self._fill()
-        return bool(self._running)
-
     # -- waiting -----------------------------------------------------------------------------------
 
     def _next(self) -> Task | None:
@@ -256,7 +235,5 @@ class Loop:
         if task.done():
             return self.workers.outcome(task)
         limit = f"timeout={self._timeout:g} seconds"
-        if self.workers.abandon(task):
-            return Failed(f"the render took longer than {limit}", broken=True)
-        waited = "it may have waited for a worker all the time"
-        return Failed(f"no result within {limit}; {waited}", broken=True)
+        self.workers.abandon(task)
+        return Failed(f"the render took longer than {limit}", broken=True)

@@ -76,15 +76,13 @@ def fit(
     stop_at
         loss at which to stop.
     workers
-        renders at a time.  They run in as many processes of their own, which are killed and
-        replaced where they hang or die.  0: in this process, one after the other, which costs
-        least where a render takes milliseconds.  None: one for each core that this process may use,
-        at most 8; with an `executor` of other than processes 8.  Where `render` cannot be pickled,
-        threads take the place of processes, with a warning.
+        renders at a time, in as many processes of their own, which are killed and replaced where
+        they hang or die.  0: in this process, which costs least where a render takes milliseconds.
+        None: one for each core, at most 8; with an `executor` of other than processes 8.  Where
+        `render` cannot be pickled, threads take the place of processes, with a warning.
     executor
         where to render instead: "threads" (for a `render` that only waits, for a program or a
-        server), any executor of `concurrent.futures`, or Dask's Client; `workers` says how many
-        renders it gets at a time.
+        server), any executor of `concurrent.futures`, or Dask's Client.
     views
         list of pictures of further views: the same as ``target=[target, *views]``.
     mask, learned
@@ -95,25 +93,18 @@ def fit(
         run directory: a checkpoint every few seconds, the curve, the best image.  None writes
         nothing.
     seed
-        same seed, same fit, if there is one worker (0 or 1) and `render` is deterministic.  With
-        more the order in which renders arrive matters, too.  None draws one.
+        same seed, same fit, if there is one worker (0 or 1) and `render` is deterministic.  None
+        draws one.
     constraints
         function of the parameters, as `render` gets them, that returns True where they are valid,
-        or margins: a number or several, <= 0 where they are valid.  Only valid ones are rendered;
-        what is rejected costs nothing.  Those of the space are respected, too.
+        or margins, <= 0 where they are valid.  Only valid ones are rendered.  Those of the space
+        are respected, too.
     max_failures
-        share of the last 50 renders that may fail, in (0, 1].  By default any may, as long as some
-        succeed, see `fitting.failures`.
+        share of the last 50 renders that may fail, in (0, 1], see `fitting.failures`.
     until
-        "solved": stop also when the image equals the target but for what no eye sees
-        (`views.solved`), or differs from it by noise of its pixels alone (`views.grain`) and as
-        many of the last 1,000 candidates as a generation has explain the target as well as noise
-        of the target allows.  Where the renderer itself has noise, losses scatter by more than
-        that, so the fit goes on: more renders average it.  "stalled": stop also when nothing more
-        is to be expected: renders and target differ by noise of the renderer alone, several
-        searches ended at the same answer, or the loss has not improved by a tenth for 150
-        generations (1,200 renders of four parameters, 2,250 of 40) and half of all evaluations.
-        "budget": none of these.
+        "solved": stop also when the image equals the target, or differs from it by noise of its
+        pixels alone.  "stalled": stop also when nothing more is to be expected.  "budget": none of
+        these.  See `fitting.stopping`.
     timeout
         seconds a render may take, or a text as for `time`; then its process is killed.  A thread
         cannot be killed: it is forgotten, and missing until it ends.
@@ -125,8 +116,8 @@ def fit(
         `recording.record.Progress`, which is called some ten times a second at most.
     value_range
         two numbers, the values of target and renders that are black and white, such as (0, 10), or
-        "auto": from the target, see `fide_plugins.views`.  Images come back in these values; losses
-        are of images scaled to [0, 1].
+        "auto": from the target.  Images come back in these values; losses are of images scaled to
+        [0, 1].
     **options
         options of `FIDE`, such as `loss`, `encoder`, `preset`, `weights`, `x0`.
 
@@ -138,8 +129,7 @@ def fit(
     FideError
         before the first render: an option, the target or the space is not what it must be.
     FitError
-        hardly any render succeeds (`fitting.failures`), or a callback, the loss or the encoder
-        raised an exception.
+        hardly any render succeeds, or a callback, the loss or the encoder raised an exception.
     ValueRangeError
         the renders are on another scale than the target.
     FitInterrupted
@@ -289,18 +279,11 @@ def _given(**options: Any) -> dict[str, Any]:
 
 
 def _with_views(target: object, views: Sequence[object] | None) -> object:
-    """The target, or the list of it and further views; OptionError if they do not fit together."""
     if views is None:
         return target
-    if not isinstance(views, list | tuple):
-        given = shorten(repr(views), 60)
+    if not isinstance(views, list | tuple) or isinstance(target, list | tuple):
         raise OptionError(
-            f"views must be a list of the pictures of further views, not {given}; "
-            "write views=[side], or target=[front, side]"
-        )
-    if isinstance(target, list | tuple):
-        raise OptionError(
-            "the target is a list of views already, and views adds more; write "
-            "target=[front, side] without views, or target=front, views=[side]"
+            f"views must be a list of pictures beside one target, not {shorten(repr(views), 60)}; "
+            "write views=[side], or target=[front, side] alone"
         )
     return [target, *views]

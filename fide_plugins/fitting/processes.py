@@ -1,16 +1,7 @@
 """Processes of our own that render, each of which can be killed without harm to the others.
 
-Each worker is a `ProcessPoolExecutor` of one process.  A common pool shares one pipe and its lock:
-a worker that is killed while it holds the lock (out of memory, say) would stop all.
-
-- They are started afresh (`spawn`), so they inherit no thread, no lock and no graphics context.
-- They do not import the user's script: its functions travel by value.  So a script needs no
-  ``if __name__ == "__main__":``, and a notebook works too.
-- Each is a process group of its own: what its render has started (a program, say) is killed with
-  it, and Ctrl-C in a terminal reaches this process alone, which saves and stops them.
-- They end when this process does, however it ends.
-- Each has a folder for its files (`renderers.scratch`), which this process removes after its end,
-  and the worker where this process is killed.
+Each worker is a `ProcessPoolExecutor` of one process, a group of its own, started afresh
+(`spawn`) without the user's script, whose functions travel by value; it ends with this process.
 """
 
 from __future__ import annotations
@@ -45,7 +36,7 @@ class Processes:
 
     def __init__(self, renderer: Callable[[Any], Outcome], number: int) -> None:
         self.number = self.usable = number
-        self._portable = Portable.of(renderer, number)
+        self._portable = Portable.of(renderer)
         self._workers: list[_Worker] = []
         self._of: dict[Task, _Worker] = {}
 
@@ -80,16 +71,11 @@ class Processes:
         """Time at which its worker was there, at the latest a minute after it was asked."""
         return self._of[task].began()
 
-    def abandon(self, task: Task) -> bool:
+    def abandon(self, task: Task) -> None:
         """Kill its worker; another one takes its place."""
         worker = self._of.pop(task)
         self._workers.remove(worker)
         worker.kill()
-        return True
-
-    def comes_back(self, seconds: float | None) -> bool:
-        """Whether a worker is usable: always."""
-        return True
 
     def close(self) -> None:
         """Kill all workers."""
@@ -108,7 +94,6 @@ class Processes:
 
 class _Worker:
     def __init__(self, portable: Portable) -> None:
-        _check_directory()
         self._context = _Context()
         self._ready_at: float | None = None
         self._asked_at = time.monotonic()
@@ -138,16 +123,16 @@ class _Worker:
 
     def end(self) -> str:
         """How a process that has died did so, in words; empty if that is not known."""
-        process = self._context.started
-        if process is None:
-            return ""
-        code = _exit_code(process)
-        if code is None:
-            return ""
-        if code < 0:
-            with suppress(ValueError):
-                return f", killed by {signal.Signals(-code).name}"
-        return f" with exit code {code}"
+        process, code = self._context.started, None
+        limit = time.monotonic() + 1.0  # its pipe closes before
+        while process is not None and code is None and time.monotonic() < limit:
+            process.join(0.01)
+            code = process.exitcode
+        if code is None or code >= 0:
+            return "" if code is None else f" with exit code {code}"
+        with suppress(ValueError):
+            return f", killed by {signal.Signals(-code).name}"
+        return ""
 
     def kill(self) -> None:
         process = self._context.started
@@ -166,18 +151,6 @@ def _remove(folder: str) -> None:
     shutil.rmtree(folder, ignore_errors=True)
 
 
-def _check_directory() -> None:
-    """Raise FileNotFoundError, with a remedy, if a process would have no directory to start in."""
-    try:
-        os.getcwd()
-    except FileNotFoundError as error:
-        raise FileNotFoundError(
-            error.errno,
-            "no worker can start, since the working directory no longer exists; change to one that "
-            "does (os.chdir), or give workers=0",
-        ) from error
-
-
 def _leave_results_to_the_process(executor: ProcessPoolExecutor) -> None:
     """Close our copy of the end of the pipe into which the process writes.
 
@@ -187,19 +160,6 @@ def _leave_results_to_the_process(executor: ProcessPoolExecutor) -> None:
     writer = getattr(getattr(executor, "_result_queue", None), "_writer", None)
     if writer is not None:
         writer.close()
-
-
-def _exit_code(process: SpawnProcess) -> int | None:
-    """Exit code of a process that ends, if it is known within a second; its pipe closes before.
-
-    A thread of the executor waits for the process, too.  Where that one gets the code from the
-    system, `join` returns at once, and a moment later the code is known here.
-    """
-    limit = time.monotonic() + 1.0
-    process.join(1.0)
-    while process.exitcode is None and time.monotonic() < limit:
-        time.sleep(0.005)
-    return process.exitcode
 
 
 class _Context(SpawnContext):

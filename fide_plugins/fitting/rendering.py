@@ -1,26 +1,22 @@
 """One render: from a point of the cube to an image, or to what went wrong.
 
-Only NumPy, the space and what reads files are imported here: a worker process loads this file, and
-no PyTorch.
+A worker process loads this file, and no PyTorch.
 """
 
 from __future__ import annotations
 
 import pickle
-import random
 import time
 import traceback
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from io import BytesIO
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
 from fide_plugins.errors import ImageError, RenderError
-from fide_plugins.runtime.messages import warn_user
 from fide_plugins.space import Space
 from fide_plugins.types import Float64
 from fide_plugins.validation.image_files import read_pixels
@@ -32,8 +28,6 @@ _BROKEN = (
     OSError, MemoryError,
 )  # fmt: skip
 """Errors for which parameters are hardly the reason: a misspelled name, a missing file."""
-_GENERATORS = (np.random.Generator, np.random.RandomState, random.Random)
-_GLOBAL = np.random.mtrand._rand  # that of NumPy, which SciPy's distributions refer to
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,12 +45,10 @@ class Rendered:
 class Failed:
     """A render that gave no image.
 
-    reason: in one line.
-    details: the traceback in the worker, or what else is known; may be empty.
+    reason: in one line.  details: the traceback in the worker, or what else is known.
     names_params: whether they say with which parameters.
     broken: whether other parameters will hardly do better, as far as the kind of error says.
-    killed: whether it ended its worker, or was ended for its time: no process of the fit's own
-        would survive it.
+    killed: whether it ended its worker, or was ended for its time.
     """
 
     reason: str
@@ -167,37 +159,16 @@ class Portable:
     payload: bytes
 
     @classmethod
-    def of(cls, renderer: Callable[[Any], Outcome], workers: int) -> Portable:
-        """Pickle the renderer for so many workers."""
-        payload, draws = _pickled(renderer)
-        if draws and workers > 1:
-            warn_user(
-                f"render refers to a random generator, and each of {workers} workers has a copy of "
-                "it: they all draw the same numbers, so images share their noise; make it inside "
-                "of render, by np.random.default_rng()"
-            )
-        return cls(payload)
+    def of(cls, renderer: Callable[[Any], Outcome]) -> Portable:
+        """Pickle the renderer."""
+        import cloudpickle
+
+        return cls(cloudpickle.dumps(renderer))
 
     def __call__(self, x: Float64) -> Outcome:
         """Image of the point x (d,) of the cube, as bytes."""
         renderer = attempt(partial(restored, self.payload))
         return renderer if isinstance(renderer, Failed) else pack(renderer(x))
-
-
-def _pickled(renderer: Callable[[Any], Outcome]) -> tuple[bytes, bool]:
-    import cloudpickle
-
-    class Pickler(cloudpickle.Pickler):  # type: ignore[misc]
-        draws = False
-
-        def reducer_override(self, obj: Any) -> Any:
-            self.draws |= isinstance(obj, _GENERATORS) and obj is not _GLOBAL
-            return super().reducer_override(obj)
-
-    file = BytesIO()
-    pickler = Pickler(file)
-    pickler.dump(renderer)
-    return file.getvalue(), pickler.draws
 
 
 @lru_cache(maxsize=4)

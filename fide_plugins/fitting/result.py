@@ -15,17 +15,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fide_plugins.errors import DependencyError, FideError, OptionError
+from fide_plugins.errors import DependencyError, FideError
 from fide_plugins.fitting.pictures import counting, side_by_side
 from fide_plugins.recording.directory import is_of_a_run, results_in
 from fide_plugins.recording.figures import Panel, as_png, thumbnail
-from fide_plugins.recording.parameters import ROUGH, Row, described, is_rough, rows
+from fide_plugins.recording.parameters import ROUGH, described, is_rough, rows
 from fide_plugins.recording.record import Record, best_so_far
 from fide_plugins.recording.storage import RunDirectoryError, is_saved, read_run, with_optimizer
 from fide_plugins.renderers import naming
 from fide_plugins.runtime.messages import cut
 from fide_plugins.validation.pixels import ValueRange
-from fide_plugins.validation.points import as_points
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
@@ -37,35 +36,25 @@ if TYPE_CHECKING:
     from fide_plugins.types import Float32, Float64, Indices, Solution
 
 
-_FILES = (
-    ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".hdr", ".webp", ".gif", ".bmp", ".pdf",
-    ".svg", ".html", ".json", ".csv", ".toml", ".yaml", ".txt", ".md", ".npy", ".npz", ".pkl",
-    ".pickle", ".pt", ".pth", ".ckpt", ".h5", ".zip", ".gz", ".py",
-)  # fmt: skip
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Result:
     """What a fit has found; `fide_plugins.load_run` reads one from a run directory.
 
     best: best candidate; None before the first image.
     params: what `render` got for it: a dictionary, or x (dim,) without a space; None without best.
-    solutions: distinct candidates, best first, at most five; see `FIDE.solutions`.
-    status: what is known of the run: a code and a sentence; see `FIDE.status`.
+    solutions: distinct candidates, best first, at most five; status: see `FIDE.status`.
     target: picture (H, W, 3) in [0, 1] or the range of values, a list of them for several views;
         weights: (H, W), which pixels count, likewise; None: all.
-    curve: (n, 2), number of evaluations, 1 to n, and best loss by then.
-    losses: (n,), loss of each evaluation; loss: its name.
+    curve: (n, 2), number of evaluations, 1 to n, and best loss by then; losses: (n,), of each
+        evaluation, infinite before images began to be compared in another way; loss: its name.
     improved_at: (m,), evaluations, from 0, that were the best so far; path: (m, dim), their points
         in [0, 1].
-    evaluations: images evaluated, those before resuming included.
-    failures: renders that gave no image, likewise; first_failure: of this call.
-    clipped: images whose values went beyond black or white, likewise.
-    rejected: share of this call's candidates that constraints rejected before they were rendered,
-        in [0, 1]; None without constraints, and of a result that was read.
-    seconds: of fitting, likewise.
-    busy: fraction of the time of this call's search that its workers rendered, in [0, 1].  It
-        counts renders that gave an image.  NaN of a result that was read.
+    evaluations: images evaluated; failures: renders that gave none; clipped: images whose values
+        went beyond black or white; seconds: of fitting; all with those before resuming.
+    first_failure: of this call.  rejected: share of this call's candidates that constraints
+        rejected before they were rendered, in [0, 1]; None without, and of a result that was read.
+    busy: fraction of the time of this call's search that its workers rendered; NaN of a result
+        that was read.
     stopped: why it ended: "solved", "noise", "stalled" (see `fit`), "budget", "time", "stop_at",
         "callback", "interrupted" or "failed"; of a run that was read also "running", and "finished"
         where it has one rule only.
@@ -125,51 +114,21 @@ class Result:
         return None if self.optimizer is None else self.optimizer.residual
 
     def plot(self) -> Figure:
-        """Figure of matplotlib: target, best image, difference, losses, paths of the parameters.
+        """Figure of matplotlib: target, best image, difference (four times as strong), losses.
 
-        The difference is shown four times as strong.  Views are side by side.  Of more than twelve
-        parameters those are drawn that moved most.  `figure.savefig(path)` writes it.
+        Views are side by side.  `figure.savefig(path)` writes it.
         """
         from fide_plugins.recording.plots import result_figure
 
-        return result_figure(
-            self._panels(), self.losses, self.loss, self.improved_at, self.path, self.best
-        )
-
-    def plot_pairs(self, samples: object = None) -> Figure:
-        """Figure of matplotlib: points by every two of their parameters, the best one marked.
-
-        samples: (n, dim) in [0, 1], such as `model.sample(picture, n)` of a learned model; None:
-            the solutions, with their numbers.
-
-        Of more than six parameters those are drawn in which the points differ most.
-
-        Raises PointsError (a ValueError) for impossible samples, OptionError without any point.
-        """
-        from fide_plugins.recording.plots import pairs_figure
-
-        best = self.best
-        found = np.array([one.x for one in self.solutions]).reshape(-1, self._dim)
-        points = as_points(found if samples is None else samples, self._dim)
-        if not len(points):
-            raise OptionError("there is nothing to draw: give samples (n, dim), n >= 1")
-        space = None if best is None else best.space
-        marked = None if best is None or samples is None else best.x
-        return pairs_figure(points, space, marked, numbered=samples is None)
+        return result_figure(self._panels(), self.losses, self.loss)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the run directory that `out` would have written: of this moment of the fit.
 
         `load_run`, `fide solutions` and `resume=True` read it.  `plot().savefig` writes a picture.
 
-        Raises FideError if `path` is named like a file, holds another run, or if the optimizer went
-        on since; OSError.
+        Raises FideError if `path` holds another run, or if the optimizer went on since; OSError.
         """
-        if Path(path).suffix.lower() in _FILES:
-            raise OptionError(
-                f"save writes a run directory, and {os.fspath(path)!r} is named like a file; name "
-                "a folder; plot().savefig(path) writes a picture"
-            )
         if self.out is not None:
             copy_run(self.out, Path(path))
         elif self.unsaved is not None:
@@ -249,10 +208,7 @@ _MOST = 40  # parameters
 def result_page(result: Result, panels: Sequence[Panel]) -> str:
     """HTML of a result: its status, pictures, losses, and parameters in their units."""
     failed = f", {result.failures:,} renders failed" if result.failures else ""
-    facts = (
-        f"{result.evaluations:,} renders in {result.seconds:.1f} s, "
-        f"stopped: {result.stopped}{failed}"
-    )
+    facts = f"{result.evaluations:,} renders in {result.seconds:.1f} s, stopped: {result.stopped}"
     pictures = "".join(map(_picture, panels))
     with suppress(DependencyError):  # without matplotlib, which is an extra
         from fide_plugins.recording.plots import curve_figure
@@ -260,11 +216,19 @@ def result_page(result: Result, panels: Sequence[Panel]) -> str:
         if len(result.losses):
             curve = curve_figure(result.losses, result.loss)._repr_png_()
             pictures += f'<img alt="losses" src="{_inline(curve)}" style="height:165px">'
+    table = rows([] if result.best is None else [result.best])
+    cells = "".join(
+        f"<tr><td>{escape(row.name)}</td><td>{escape(row.values[0])}</td>"
+        f"<td>{escape(row.unit)}</td>"
+        f"<td>{'' if row.determined else 'not determined by the picture'}</td></tr>"
+        for row in table[:_MOST]
+    )
+    more = f"<p>... {len(table) - _MOST} more</p>" if len(table) > _MOST else ""
     rough = f"<p>{ROUGH}</p>" if result.best is not None and is_rough(result.best) else ""
     return (
-        f"<div><p><b>{escape(str(result.status))}</b><br>{escape(facts)}</p>"
+        f"<div><p><b>{escape(str(result.status))}</b><br>{escape(facts + failed)}</p>"
         f'<div style="display:flex;flex-wrap:wrap;gap:8px;align-items:flex-end">{pictures}</div>'
-        f"{_table(rows([] if result.best is None else [result.best]))}{rough}</div>"
+        f"<table>{cells}</table>{more}{rough}</div>"
     )
 
 
@@ -278,18 +242,6 @@ def _picture(panel: Panel) -> str:
         f'<figure style="margin:0"><figcaption>{name}</figcaption><img alt="{name}" '
         f'src="{source}" style="width:{shown}px;image-rendering:pixelated"></figure>'
     )
-
-
-def _table(table: list[Row]) -> str:
-    cells = "".join(
-        f"<tr><td>{escape(row.name)}</td><td>{escape(row.values[0])}</td>"
-        f"<td>{escape(row.unit)}</td>"
-        f"<td>{'' if row.determined else 'not determined by the picture'}</td></tr>"
-        for row in table[:_MOST]
-    )
-    if len(table) > _MOST:
-        cells += f"<tr><td>... {len(table) - _MOST} more</td></tr>"
-    return f"<table>{cells}</table>" if cells else ""
 
 
 def _inline(png: bytes) -> str:

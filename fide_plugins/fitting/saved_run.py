@@ -1,8 +1,4 @@
-"""The run directory of a fit: that of any other run, see `recording.directory`.
-
-What defines the run is recorded as its settings, and must be the same to resume it; the rules by
-which it stops are its limits.
-"""
+"""The run directory of a fit: that of any other run, see `recording.directory`."""
 
 from __future__ import annotations
 
@@ -10,10 +6,10 @@ import hashlib
 import math
 import os
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -204,12 +200,10 @@ class Unsaved:
 
 
 def settings_of(name: str, optimizer: FIDE, options: Mapping[str, Any]) -> dict[str, Any]:
-    """What defines a fit.
+    """What defines a fit, which must be the same to resume it.
 
     name: of what renders; options: of the optimizer, as the user gave them.  Arrays are recorded by
-    their digest, mask and weights by that of their product; a starting point, its width and groups
-    as the optimizer has made them, in whatever form they were given.  The budget is a limit, which
-    may change.
+    their digest; a starting point, its width and groups as the optimizer has made them.
     """
     target = optimizer.evaluator.target
     space = optimizer.space
@@ -231,7 +225,7 @@ def settings_of(name: str, optimizer: FIDE, options: Mapping[str, Any]) -> dict[
         "options": {
             key: _recorded(made.get(key, value))
             for key, value in options.items()
-            if key not in ("loss", *_CONTENTS)
+            if key not in ("loss", "learned", *_CONTENTS)
         },
         "weights": _recorded(optimizer.weights),
         "loss": optimizer.evaluator.loss.name,
@@ -250,8 +244,6 @@ def features_of(optimizer: FIDE) -> list[float]:
 
 def seed_there(out: str | os.PathLike[str]) -> int | None:
     """Seed of the run in the folder `out`; None if there is none.  Raises RunDirectoryError."""
-    from pathlib import Path
-
     run = read_run(Path(out))
     seed = None if run is None else run["settings"].get("seed")
     return seed if isinstance(seed, int) else None
@@ -328,27 +320,37 @@ def _read(path: Path, run: dict[str, Any]) -> Result:
     settings = run["settings"]
     dim = int(settings["dim"])
     space = None if settings.get("space") is None else Space.from_dict(settings["space"])
-    views = (run.get("facts") or {}).get("views")
+    views, values = (run.get("facts") or {}).get("views"), _values(settings)
     record, _ = read_record(path, dim, settings["size"])
-    totals = _totals(run, record)
-    known = _known(path, settings, totals, dim, space)
-    values = _values(settings)
-    best = _best(record, known.solutions, space, views, values)
+    totals = run.get("totals")
+    if run.get("state") == "running" or not isinstance(totals, dict):
+        totals = {}
+    if totals.get("evaluations") != record.evaluations:  # they are those of an earlier call
+        totals = {}
+    solutions, status, weights = read_solutions(totals.get("solutions", []), dim, space), None, None
+    if "status" in totals:
+        status = Status(_text(totals["status"]), _text(totals["sentence"]))
+    if not solutions or status is None or settings.get("weights") is not None:
+        with suppress(FideError):  # it needs an encoder of the user's
+            optimizer = optimizer_in(path)
+            if optimizer is not None:
+                solutions = solutions or optimizer.solutions()
+                status, weights = status or optimizer.status, optimizer.weights
+    best = _best(record, solutions, space, views, values)
     adapts = any((settings.get("options") or {}).get(name) for name in _ADAPTS)
-    compared = _picture(path, "best", views, values) if adapts and best is not None else None
     return Result(
         best=best,
         params=None if best is None else best.params or totals.get("params") or best.x.copy(),
-        solutions=known.solutions if best is None else [best, *known.solutions[1:]],
-        status=known.status,
+        solutions=solutions if best is None else [best, *solutions[1:]],
+        status=status or Status("unknown", "What the optimizer knew of the run is not recorded."),
         target=_picture(path, "target", views, values),
-        weights=known.weights,
+        weights=weights,
         loss=str(settings.get("loss")),
         failures=record.failures,
         clipped=int(totals.get("clipped", 0)),
         value_range=None if values is None else (values.low, values.high),
         first_failure=None,
-        compared=compared,
+        compared=_picture(path, "best", views, values) if adapts and best is not None else None,
         busy=math.nan,
         stopped=str((totals and run.get("stopped")) or run.get("state")),
         out=path,
@@ -356,44 +358,10 @@ def _read(path: Path, run: dict[str, Any]) -> Result:
     )
 
 
-def _totals(run: dict[str, Any], record: Record) -> dict[str, Any]:
-    """Totals of the state that the checkpoint holds; empty if they are those of an earlier call."""
-    totals = run.get("totals")
-    if run.get("state") == "running" or not isinstance(totals, dict):
-        return {}
-    return totals if totals.get("evaluations") == record.evaluations else {}
-
-
 def _text(value: object) -> str:
     if not isinstance(value, str):
         raise TypeError(f"a text is {value!r}")
     return value
-
-
-class _Known(NamedTuple):
-    solutions: list[Solution]
-    status: Status
-    weights: Any
-
-
-def _known(
-    path: Path, settings: dict[str, Any], totals: dict[str, Any], dim: int, space: Space | None
-) -> _Known:
-    """From the totals, as it was at the end; what they lack from the optimizer, if it loads."""
-    solutions = read_solutions(totals.get("solutions", []), dim, space)
-    status = None
-    if "status" in totals:
-        status = Status(_text(totals["status"]), _text(totals["sentence"]))
-    if solutions and status is not None and settings.get("weights") is None:
-        return _Known(solutions, status, None)
-    try:
-        optimizer = optimizer_in(path)
-    except FideError:  # it needs an encoder of the user's
-        optimizer = None
-    if optimizer is None:
-        nothing = Status("unknown", "What the optimizer knew of the run is not recorded.")
-        return _Known(solutions, status or nothing, None)
-    return _Known(solutions or optimizer.solutions(), status or optimizer.status, optimizer.weights)
 
 
 def _best(

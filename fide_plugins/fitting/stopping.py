@@ -1,18 +1,7 @@
-"""When a fit is over.
+"""When a fit is over; it goes on with ``resume=True`` and a larger number.
 
-Budget, time and the other rules are no settings: a fit that was stopped by one of them goes on with
-``resume=True`` and a larger number.
-
-==================  ===============================================================================
-`budget`            evaluations, those before resuming included; failed renders do not count
-`time`              seconds of fitting, those before resuming included
-`stop_at`           the best loss is at most this
-`until="solved"`    the image equals the target but for what no eye sees (`views.solved`), or what
-                    is left is noise of the target and the search has found its answer as well as
-                    this allows (`_is_converged`); noise of the renderer alone ends no such fit
-`until="stalled"`   the same, or nothing more is to be expected (see `_is_stalled`)
-`until="budget"`    none of these: budget, time and `stop_at` alone
-==================  ===============================================================================
+`until="solved"`: what is left is nothing that an eye sees, or noise of the target as far as the
+search can tell; "stalled": the same, or nothing more is to be expected; "budget": none of these.
 """
 
 from __future__ import annotations
@@ -75,8 +64,7 @@ class Stopping:
         losses: of all evaluations; best: the lowest one.
         improved: whether the last evaluation was the best so far.
 
-        `until` is looked at after each improvement, for "solved", and after as many evaluations as
-        a generation has, for "noise" and "stalled", too.
+        `until` is looked at after each improvement, and after each generation.
         """
         if self.budget is not None and len(losses) >= self.budget:
             return "budget"
@@ -101,13 +89,8 @@ class Stopping:
 
     def record(self) -> dict[str, Any]:
         """The rules, for a file."""
-        rules = {
-            "budget": self.budget,
-            "time": self.seconds,
-            "stop_at": self.stop_at,
-            "until": self.until,
-        }
-        return {name: value for name, value in rules.items() if value is not None}
+        found = {"budget": self.budget, "time": self.seconds, "stop_at": self.stop_at}
+        return {k: v for k, v in found.items() if v is not None} | {"until": self.until}
 
 
 def _is_solved(optimizer: FIDE) -> bool:
@@ -128,12 +111,7 @@ def _is_converged(losses: Sequence[float], best: float, optimizer: FIDE) -> bool
 
     By noise alone the loss of the right parameters exceeds the lowest one by d / n of it, for d
     parameters and n values of pixels, on average (the chi-squared law).  So many of the last 1,000
-    candidates as a generation has must be as good: then the best of them is far nearer to the
-    lowest loss.
-
-    Losses of a renderer with noise scatter by (2 / n)^(1/2) of themselves, far more, so its fit is
-    not converged.  It goes on on purpose: the lowest loss is partly luck there, and more renders
-    bring the mean of the search, `recommend`, nearer to the truth.
+    candidates as a generation has must be as good.  With a noisy renderer losses scatter far more.
     """
     within = best + abs(best) * optimizer.dim / optimizer.views.numbers
     last = np.asarray(losses[-max(_LAST, optimizer.popsize) :])
@@ -143,10 +121,9 @@ def _is_converged(losses: Sequence[float], best: float, optimizer: FIDE) -> bool
 def _is_stalled(code: str, optimizer: FIDE) -> bool:
     """Whether nothing more is to be expected.
 
-    At the noise floor of renders with noise, or several searches ended at the same answer: at once.
+    At the noise floor of a noisy renderer, or several searches ended at the same answer: at once.
     Otherwise if the loss has not improved by a tenth for 150 generations and for as many
-    evaluations as it took to get there: stalls are overcome by moves, each of which takes some ten
-    generations and mostly fails.
+    evaluations as it took to get there: moves take some ten generations, and mostly fail.
     """
     if code in ("waiting", "improving"):
         return False

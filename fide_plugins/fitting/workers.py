@@ -9,18 +9,10 @@ import atexit
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    CancelledError,
-    Executor,
-    Future,
-    ThreadPoolExecutor,
-    wait,
-)
-from dataclasses import replace
-from functools import partial
+from concurrent.futures import Executor, Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass, field, replace
 from multiprocessing import current_process
-from queue import Empty, SimpleQueue
+from queue import SimpleQueue
 from typing import Any, ParamSpec, Protocol, TypeAlias, TypeVar
 from weakref import WeakSet
 
@@ -36,6 +28,10 @@ from fide_plugins.validation.pixels import is_pil, is_torch_tensor
 
 LOOK = 0.25
 """Seconds between two looks at the clocks of renders that may take too long."""
+
+_Renderer: TypeAlias = Callable[[Any], Outcome]
+P = ParamSpec("P")
+T = TypeVar("T")
 
 
 class Workers(Protocol):
@@ -55,32 +51,17 @@ class Workers(Protocol):
         """What a task that is done has given; never raises what went wrong."""
 
     def began(self, task: Task) -> float | None:
-        """Time of `time.monotonic` when the render began; None if it waits for its worker.
+        """Time of `time.monotonic` when the render began; None if it waits for its worker."""
 
-        Waiting in a queue is no time of a render.
-        """
-
-    def abandon(self, task: Task) -> bool:
-        """Stop a render that takes too long; where that is impossible, forget it.
-
-        Returns whether it is known to have begun.
-        """
-
-    def comes_back(self, seconds: float | None) -> bool:
-        """Whether a worker is usable, perhaps after a while of waiting for those that are not.
-
-        seconds: to wait at most; None: as long as one may take.
-        """
+    def abandon(self, task: Task) -> None:
+        """Stop a render that takes too long; where that is impossible, forget it."""
 
     def close(self) -> None:
         """Stop all renders, and give back what was taken for them."""
 
 
 def late(workers: Workers, tasks: Iterable[Task], timeout: float | None) -> Task | None:
-    """First task that is not done `timeout` seconds after its render began; None: there is none.
-
-    timeout: None: a render may take any time.
-    """
+    """First task that is not done `timeout` seconds after its render began; None: there is none."""
     if timeout is None:
         return None
     now = time.monotonic()
@@ -94,10 +75,9 @@ def late(workers: Workers, tasks: Iterable[Task], timeout: float | None) -> Task
 class InThisProcess:
     """The process that fits: `submit` returns when the image is there; nothing stops a render."""
 
-    number = 1
-    usable = 1
+    number = usable = 1
 
-    def __init__(self, renderer: Callable[[Any], Outcome]) -> None:
+    def __init__(self, renderer: _Renderer) -> None:
         self._renderer = renderer
 
     def submit(self, x: Any) -> Task:
@@ -111,78 +91,56 @@ class InThisProcess:
         return task.result()
 
     def began(self, task: Task) -> float | None:
-        """Time at which it was asked: it is over by then."""
-        return time.monotonic()
+        """None: it is over."""
+        return None
 
-    def abandon(self, task: Task) -> bool:
+    def abandon(self, task: Task) -> None:
         """Nothing to be done: each render is over."""
-        return True
-
-    def comes_back(self, seconds: float | None) -> bool:
-        """Whether a worker is usable: always."""
-        return True
 
     def close(self) -> None:
         """Nothing was taken."""
 
 
-P = ParamSpec("P")
-T = TypeVar("T")
-
 _GRACE = 1.0  # seconds at the end of the process for renders that are about to return
-
-_Job: TypeAlias = tuple["Future[Any]", Callable[[], Any]]
 _ALL: WeakSet[threading.Thread] = WeakSet()
 
 
 class DaemonThreads(Executor):
-    """Executor of as many threads, each started with a job until all are there."""
+    """Threads that do not keep the process alive, each started with a job until all are there."""
 
     def __init__(self, number: int) -> None:
         self._number = number
         self._threads: list[threading.Thread] = []
-        self._jobs: SimpleQueue[_Job | None] = SimpleQueue()
+        self._jobs: SimpleQueue[tuple[Any, ...] | None] = SimpleQueue()
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
         """Call the function as soon as a thread is free."""
         future: Future[T] = Future()
-        self._jobs.put((future, partial(fn, *args, **kwargs)))
+        self._jobs.put((future, fn, args, kwargs))
         if len(self._threads) < self._number:
-            name = f"fide-render-{len(self._threads)}"
-            thread = threading.Thread(target=_work, args=(self._jobs,), name=name, daemon=True)
+            thread = threading.Thread(target=_work, args=(self._jobs,), daemon=True)
             self._threads.append(thread)
             _ALL.add(thread)
             thread.start()
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """End the threads that wait for a job, and the others after theirs."""
-        while cancel_futures:
-            try:
-                job = self._jobs.get_nowait()
-            except Empty:
-                break
-            if job is not None:
-                job[0].cancel()
+        """End the threads after their jobs."""
         for _ in self._threads:
             self._jobs.put(None)
-        if wait:
-            for thread in self._threads:
-                thread.join()
+        for thread in self._threads if wait else ():
+            thread.join()
 
 
-def _work(jobs: SimpleQueue[_Job | None]) -> None:
+def _work(jobs: SimpleQueue[tuple[Any, ...] | None]) -> None:
     while (job := jobs.get()) is not None:
-        future, call = job
-        if not future.set_running_or_notify_cancel():
-            continue
-        try:
-            result = call()
-        except BaseException as error:
-            future.set_exception(error)
-        else:
-            future.set_result(result)
-        del job, future, call  # what they hold is not kept while the thread waits
+        future, call, args, kwargs = job
+        if future.set_running_or_notify_cancel():
+            try:
+                future.set_result(call(*args, **kwargs))
+            except BaseException as error:
+                future.set_exception(error)
+        del job, future, call, args, kwargs  # what they hold is not kept while the thread waits
 
 
 @atexit.register
@@ -193,31 +151,26 @@ def _wait_a_little() -> None:
         thread.join(max(0.0, over - time.monotonic()))
 
 
-_RETURNS = 30.0  # seconds in which a worker that has died is there again
+@dataclass
+class _Clock:
+    asked: float = field(default_factory=time.monotonic)
+    began: float | None = None
 
 
 class OfExecutor:
-    """Workers of an executor.
-
-    number: how many of them to keep busy.
-    own: whether the executor is closed with these workers.
+    """Workers of an executor; own: whether it is closed with them.
 
     A render in a thread cannot be stopped: after its time-out it is forgotten, and its worker is
-    missing until it ends.  So it is with one in a worker of Dask, which renders in a thread, too.
+    missing until it ends.
     """
 
-    def __init__(
-        self, executor: Executor, renderer: Callable[[Any], Outcome], number: int, own: bool
-    ) -> None:
+    def __init__(self, executor: Executor, renderer: _Renderer, number: int, own: bool) -> None:
         self.number = number
         self._executor, self._own = executor, own
         self._threads = isinstance(executor, ThreadPoolExecutor | DaemonThreads)
-        self._renderer = renderer if self._threads else Portable.of(renderer, number)
+        self._renderer = renderer if self._threads else Portable.of(renderer)
         self._clocks: dict[Task, _Clock] = {}
-        self._tells = self._threads
-        """Whether the executor tells when a render begins."""
-        self._alive = 0.0
-        """When a render began or ended last, as far as is known."""
+        self._alive = 0.0  # when a render began or ended last, as far as is known
         self._hanging: list[Task] = []
 
     @property
@@ -242,8 +195,6 @@ class OfExecutor:
         self._alive = time.monotonic()
         try:
             made = task.result()
-        except CancelledError as error:
-            return Failed(f"the executor has cancelled it: {error!r}", broken=True)
         except Exception as error:  # of the executor; those of the renderer are outcomes
             return Failed.by(error)
         # from a thread comes what the user's function returned, and bytes of it are no pickle
@@ -252,59 +203,34 @@ class OfExecutor:
     def began(self, task: Task) -> float | None:
         """Time at which it began, not that of waiting in the executor's queue.
 
-        The clock of one that has not begun starts again when another one begins or ends: it runs
-        out where all workers of the executor hang.  A `ProcessPoolExecutor` takes one render more
-        than it has processes for begun.  Some executors (Dask's) never tell what has begun: there
-        it is the time at which it was submitted.
+        The clock of one that has not begun, as far as the executor tells, starts again when another
+        one begins or ends: it runs out where all workers of the executor hang.
         """
         clock = self._clocks.get(task)
         if clock is None:
             return None
         if clock.began is None and task.running():
-            clock.began, self._tells = time.monotonic(), True
-        if clock.began is not None:
-            self._alive = max(self._alive, clock.began)
-            return clock.began
-        return max(clock.asked, self._alive) if self._tells else clock.asked
+            clock.began = time.monotonic()
+        if clock.began is None:
+            return max(clock.asked, self._alive)
+        self._alive = max(self._alive, clock.began)
+        return clock.began
 
-    def abandon(self, task: Task) -> bool:
-        """Cancel it, which helps if it has not begun; returns whether it is known to have begun.
-
-        Dask cancels a render that has begun, too, so far as its future goes: that is done at once,
-        and the render goes on in its worker.  Left alone, the future is done when the worker is
-        free again.
-        """
-        clock = self._clocks.pop(task, None)
-        if not (self._tells and task.cancel()):
+    def abandon(self, task: Task) -> None:
+        """Cancel it, which helps if it has not begun."""
+        self._clocks.pop(task, None)
+        if not task.cancel():
             self._hanging.append(task)
-        return clock is not None and clock.began is not None
-
-    def comes_back(self, seconds: float | None) -> bool:
-        """Whether a worker is usable; where nobody tells what runs, one may have died, and returns.
-
-        Dask starts it again and repeats the render, up to three times: then its future is done.
-        It is waited for half a minute, but not longer than so many seconds.
-        """
-        if not self._tells:
-            longest = _RETURNS if seconds is None else min(_RETURNS, seconds)
-            wait(self._hanging, longest, return_when=FIRST_COMPLETED)
-        return self.usable > 0
 
     def close(self) -> None:
         """Cancel what has not begun; do not wait for what has."""
         for task in (*self._clocks, *self._hanging):
             task.cancel()
         if self._own:
-            self._executor.shutdown(wait=False, cancel_futures=True)
+            self._executor.shutdown(wait=False)
 
 
-class _Clock:
-    def __init__(self) -> None:
-        self.asked = time.monotonic()
-        self.began: float | None = None
-
-
-def _noting(clock: _Clock, render: Callable[[Any], Outcome], x: Any) -> Outcome:
+def _noting(clock: _Clock, render: _Renderer, x: Any) -> Outcome:
     clock.began = time.monotonic()
     outcome = render(x)
     if isinstance(outcome, Failed):
@@ -321,12 +247,9 @@ def _copied(image: Any) -> Any:
     return image.copy() if isinstance(image, np.ndarray) or is_pil(image) else image
 
 
-_Renderer: TypeAlias = Callable[[Any], Outcome]
-
 DAEMON = "a daemonic process, such as those of multiprocessing.Pool, cannot start others"
 """Why no process is started in such a process."""
 _DEFAULT_MOST = 8  # workers by default: more need more renders for the same loss
-_REMEDY = "give executor='threads', or workers=0"
 
 
 def default_number(executor: object = None) -> int:
@@ -354,36 +277,22 @@ def workers_for(
         if timeout is not None:
             raise OptionError("timeout needs a worker that can be killed: give workers >= 1")
         return InThisProcess(renderer)
-    if executor in (None, "processes"):
-        return _processes(renderer, number, or_threads=executor is None)
     if executor == "threads":
-        return _threads(renderer, number)
-    return OfExecutor(_as_executor(executor), renderer, number, own=False)
-
-
-def _processes(renderer: _Renderer, number: int, or_threads: bool) -> Workers:
-    """Processes; where there can be none, threads with a warning, or OptionError."""
-    if current_process().daemon:
-        if not or_threads:
-            raise OptionError(f"{DAEMON}; {_REMEDY}")
-        warn_user(f"{DAEMON}, so render runs in threads of this one; to silence this, {_REMEDY}")
-        return _threads(renderer, number)
-    try:
-        return Processes(renderer, number)
-    except Exception as error:  # whatever the user's objects raise when they are pickled
-        what = f"render cannot be sent to other processes ({type(error).__name__}: {error})"
-        if not or_threads:
-            raise OptionError(
-                f"{what}; make what it needs inside of it, or give executor='threads'"
-            ) from error
-        warn_user(
-            f"{what}, so it runs in threads of this one; to silence this, give "
-            "executor='threads', or make what it needs inside of it"
-        )
-        return _threads(renderer, number)
-
-
-def _threads(renderer: _Renderer, number: int) -> Workers:
+        return OfExecutor(DaemonThreads(number), renderer, number, own=True)
+    if executor not in (None, "processes"):
+        return OfExecutor(_as_executor(executor), renderer, number, own=False)
+    reason = DAEMON
+    if not current_process().daemon:
+        try:
+            return Processes(renderer, number)
+        except Exception as error:  # whatever the user's objects raise when they are pickled
+            reason = f"render cannot be sent to other processes ({type(error).__name__}: {error})"
+    if executor == "processes":
+        raise OptionError(f"{reason}; make what it needs inside of it, or give executor='threads'")
+    warn_user(
+        f"{reason}, so render runs in threads of this one; to silence this, give "
+        "executor='threads', or make what it needs inside of it"
+    )
     return OfExecutor(DaemonThreads(number), renderer, number, own=True)
 
 

@@ -1,24 +1,7 @@
 """Learn once what pictures say of a renderer's parameters, for every later picture.
 
-Amortized inference: renders of random parameters train a network that maps an image to a density of
-the parameters.  For a new picture it gives several hypotheses at once, which the search refines
-(`FIDE(..., learned=model)`).
-
-==============  ================================================================================
-file            idea
-==============  ================================================================================
-`pipeline`      `learn`: renders, trainings and report; a second round for one picture
-`renders`       a renderer, and its images of random parameters on disk
-`rendering`     fills that store: in this process, in others, on a cluster
-`networks`      encoder, densities of the parameters
-`emulator`      a learned renderer, and descents through it
-`training`      of a network on renders; it goes on from its checkpoint
-`augmentation`  how renders are changed meanwhile
-`clutter`       backgrounds, occluders and shadows for renders that say what they cover
-`judging`       a trained network is calibrated and measured
-`model`         hypotheses, density, one file
-`hypotheses`    what a search is given of it
-==============  ================================================================================
+Renders of random parameters train a network that maps an image to a density of the parameters; for
+a new picture it gives several hypotheses at once, which a search refines (`learned=model`).
 """
 
 from __future__ import annotations

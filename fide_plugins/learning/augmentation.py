@@ -1,18 +1,13 @@
 """What changes renders while they are learned: what separates a photograph from a render.
 
-`AUGMENT` names how much: focus, place, exposure, color, noise and things in front, or what two
-renders of one scene differ in.  The changes are small, since a large one would change what the
-parameters mean: a scene whose colors are parameters is another one after a change of color.  A
-shift of half a pixel is what an edge has anyhow on another grid of pixels.
-
-Each change is made to a share of the images of a batch, to each of them in its own way, by the
-operations of kornia.  Its random modules draw from PyTorch's global generator; so the numbers are
-drawn here, from a generator of one's own.
+The changes are small: a large one would change what the parameters mean.  Each is made to a share
+of a batch, by kornia; the numbers are drawn here, since its modules draw from a global generator.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import TypeAlias
 
 import torch
@@ -87,10 +82,6 @@ def _shifted(images: Tensor, generator: torch.Generator) -> Tensor:
     return moved
 
 
-def _blurred(images: Tensor, generator: torch.Generator) -> Tensor:
-    return out_of_focus(images, generator, _BLUR, 3)
-
-
 def out_of_focus(
     images: Tensor, generator: torch.Generator, deviations: tuple[float, float], pixels: int
 ) -> Tensor:
@@ -103,7 +94,6 @@ def out_of_focus(
 
 
 def _exposed(images: Tensor, generator: torch.Generator) -> Tensor:
-    """Brighter or darker, and of another white."""
     n = len(images)
     gain = 1 + uniform(n, 1, -_EXPOSURE, _EXPOSURE, generator)
     balance = 1 + uniform(n, 3, -_BALANCE, _BALANCE, generator)
@@ -118,10 +108,6 @@ def _saturated(images: Tensor, generator: torch.Generator) -> Tensor:
     return changed
 
 
-def _noisy(images: Tensor, generator: torch.Generator) -> Tensor:
-    return noisy(images, generator, _NOISE)
-
-
 def noisy(images: Tensor, generator: torch.Generator, most: float) -> Tensor:
     """With noise of a standard deviation up to `most`."""
     deviation = uniform(len(images), 1, 0.0, most, generator)[:, :, None, None]
@@ -131,16 +117,20 @@ def noisy(images: Tensor, generator: torch.Generator, most: float) -> Tensor:
     return images + deviation * noise
 
 
-_CHANGES = {  # in the order of what happens: the scene, the lens, the sensor
+_FOCUS = partial(out_of_focus, deviations=_BLUR, pixels=3), 1 / 2
+_GRAIN = partial(noisy, most=_NOISE), 1 / 2
+_CHANGES: dict[
+    str, tuple[tuple[Change, float], ...]
+] = {  # in the order of what happens: the scene, the lens, the sensor
     "none": (),
-    "render": ((_blurred, 1 / 2), (_noisy, 1 / 2)),
+    "render": (_FOCUS, _GRAIN),
     "photograph": (
         (in_front, 1 / 4),
         (_shifted, 1 / 2),
-        (_blurred, 1 / 2),
+        _FOCUS,
         (_exposed, 1 / 2),
         (_saturated, 1 / 2),
-        (_noisy, 1 / 2),
+        _GRAIN,
     ),
 }
 

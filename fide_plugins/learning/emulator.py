@@ -1,13 +1,4 @@
-"""A learned renderer: the color at a place of the image, given exchangeable blocks of parameters.
-
-A renderer is a black box without gradients; a network that imitates it has gradients, so that the
-parameters of a picture are found by descent, without a render (`inverted`).  This one is for scenes
-that are a set of similar things (cells, lamps, sprites).  At each place of the image attention says
-which block is seen, where one covers the others, and a mean over all blocks says what each does
-there, where they add up: no order of the blocks is learned.  Other parameters scale and shift the
-features of the places (FiLM, Perez et al. 2018, arXiv:1709.07871).  Such a network is a conditional
-neural field (Sajjadi et al. 2022, arXiv:2111.13152).
-"""
+"""A learned renderer has gradients: parameters of a picture are found by descent through it."""
 
 from __future__ import annotations
 
@@ -38,6 +29,13 @@ _PLACES = 64  # of each image in a step of training: twice as many cost twice, a
 class Emulator(Trainable):
     """Colors of an image at some of its places, given points of the unit cube.
 
+    It is for scenes that are a set of similar things (cells, lamps, sprites).  At each place of the
+    image attention says which block is seen, where one covers the others, and a mean over all
+    blocks says what each does there, where they add up: no order of the blocks is learned.  Other
+    parameters scale and shift the features of the places (FiLM, Perez et al. 2018,
+    arXiv:1709.07871).  Such a network is a conditional neural field (Sajjadi et al. 2022,
+    arXiv:2111.13152).
+
     size: height and width of the images.
     periodic: (d,), axes that wrap around.
     blocks: (n, L), axes of each exchangeable block; there must be some.
@@ -64,14 +62,11 @@ class Emulator(Trainable):
         self.size, self.dim = size, len(periodic)
         index, wraps = torch.tensor([list(block) for block in blocks]), torch.tensor(periodic)
         others = sorted(set(range(self.dim)) - set(index.flatten().tolist()))
-        constants = {
-            "blocks": index,
-            "others": torch.tensor(others, dtype=torch.long),
-            "periodic": wraps,
-            "pixels": _pixels(size),
-        }
-        for name, constant in constants.items():
-            self.register_buffer(name, constant, persistent=False)
+        rest = torch.tensor(others, dtype=torch.long)
+        self.register_buffer("blocks", index, persistent=False)
+        self.register_buffer("others", rest, persistent=False)
+        self.register_buffer("periodic", wraps, persistent=False)
+        self.register_buffer("pixels", _pixels(size), persistent=False)
         self.register_buffer("mean", torch.zeros(size[0] * size[1], 3, dtype=torch.float32))
         self.register_buffer("variance", torch.ones((), dtype=torch.float32))
         with torch.random.fork_rng(devices=[]):  # the global generator stays as it was
@@ -133,11 +128,7 @@ class Emulator(Trainable):
         return self.errors(images, u, some).mean() / self.variance
 
     def judged(self, images: Tensor, u: Tensor, generator: torch.Generator) -> Tensor:
-        """Share of the variance of these images that it does not explain.
-
-        At many more places than those of a step of training, so that a small thing that moves
-        counts.
-        """
+        """As `loss`, of the variance of these images, at more places: a small thing counts."""
         some = self.random_places(_JUDGED, generator)
         variance = (_colors(images, some) - self.mean[some]).square().mean().clamp_min(1e-6)
         share: Tensor = self.errors_of_many(images, u, some).mean() / variance
@@ -145,8 +136,8 @@ class Emulator(Trainable):
 
     def random_places(self, n: int, generator: torch.Generator) -> Tensor:
         """Draw n places (n,), some of them more than once."""
-        of = len(self.pixels)
-        return torch.randint(of, (n,), generator=generator, device=generator.device)
+        device = generator.device
+        return torch.randint(len(self.pixels), (n,), generator=generator, device=device)
 
 
 class _Gather(nn.Module):

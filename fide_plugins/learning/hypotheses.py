@@ -64,8 +64,8 @@ def posterior_of(
         warn_user(f"{learned.unlike_all(far)}: the search goes on without the model")
         return None
     x = learned.sample(target, _DRAWN, seed % 2**32)
-    if learned.head == "set":
-        x[0] = _middle(x, np.array(learned.periodic))
+    if learned.blocks:
+        x[0] = _middle(x, np.array(learned.network.periodic))
     refined = _refined(learned, target, x, seed % 2**32) if learned.emulates else None
     return Posterior(x, refined)
 

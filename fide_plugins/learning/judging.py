@@ -1,24 +1,11 @@
-"""How good a trained network is: calibrated and measured on held-out renders.
-
-*Calibration.*  A network that has seen its renders several times is too sure of itself.  One scale
-of all standard deviations mends it, as in temperature scaling (Guo et al. 2017, arXiv:1706.04599).
-It is chosen by held-out renders that do not judge: their 90 % regions hold the truth in 90 %.
-
-*Familiarity.*  The Mahalanobis distance of a picture's features from those of training renders (Lee
-et al. 2018, arXiv:1807.03888), compared with the distances of held-out renders.
-
-*What images show.*  A model may be sure of what no image shows, so the truth of held-out renders
-decides.  The samples of an image say with which probability the truth is in each quarter of an
-axis; the logarithm of that of the quarter where it is, less that of the uniform density, is 0 on
-average where nothing was learned (log score; Gneiting and Raftery 2007).
-"""
+"""How good a trained network is: calibrated and measured on held-out renders."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, Self, TypeAlias
 
@@ -52,12 +39,11 @@ _MOST_FEATURES = 4000  # renders by which the features of all are described
 _BINS = 4
 _LEAST = 0.02  # nats: less is of no use, however surely it is there
 _ERRORS = 1.645  # standard errors of a mean: chance makes as much in 5 %
-_NUMBER = re.compile(r"(\[\d+\])(?=\.)")  # of a repeated group
+_NUMBER = re.compile(r"\[\d+\](?=\.)")  # of a repeated group
 
 _HYPOTHESES = 64
 _PICTURES = 300
 _BATCH = 500
-_CALIBRATED = ENOUGH * HELD_OUT  # renders: every 50th is held out
 _EXPLAINED = 0.9  # of the variance of renders: a worse emulator misleads
 
 OnPicture: TypeAlias = Callable[[int, int], None]
@@ -83,11 +69,11 @@ def fitted_scale(
 ) -> float:
     """Scale in [1, 4] by which 90 % regions hold 90 % of renders, x (n, d), images (n, H, W, 3).
 
+    A network that has seen its renders several times is too sure of itself; one scale of all
+    standard deviations mends it, as in temperature scaling (Guo et al. 2017, arXiv:1706.04599).
     Interpolated between steps of 1.2.  1 without renders, or where regions hold 90 % already; they
     are never made smaller, since photographs are further from what was learned than renders are.
-    (The scale of the largest likelihood is not that one: most renders decide it, and those that are
-    far off are further off than a Gaussian's.)  The network is left as it was.
-    on_picture: a picture counts once for each scale that is tried.
+    The network is left as it was.
     """
     if not len(x):
         return 1.0
@@ -163,15 +149,6 @@ class Familiarity:
         """Whether features (F,) are like those of renders."""
         return bool(self.distances(features[None])[0] <= self.threshold)
 
-    def state_dict(self) -> dict[str, Any]:
-        """All of it."""
-        return asdict(self)
-
-    @classmethod
-    def from_state(cls, state: Mapping[str, Any]) -> Self:
-        """What `state_dict` gave."""
-        return cls(state["mean"], state["precision"], state["threshold"])
-
 
 def _across(training: Float64) -> Float64:
     """Distance (n,) of each of n renders from those of the other folds."""
@@ -212,71 +189,55 @@ def _logs(distances: Float64) -> Float64:
     return np.asarray(np.log(np.maximum(distances, 1e-3 * largest)), np.float64)
 
 
+def familiarity_of(network: Network, training: Training) -> Familiarity:
+    """Familiarity of the renders of a training, the held-out ones among them."""
+    aside = is_held_out(len(training.x))
+    learned = np.flatnonzero(~aside)[:_MOST_FEATURES]  # of all images a copy would be large
+    others = training.shown(np.flatnonzero(aside))
+    return Familiarity.of(_features(network, training.shown(learned)), _features(network, others))
+
+
+def _features(network: Network, images: Pixels) -> Float64:
+    """Features (n, F) of images (n, H, W, 3)."""
+    parts = [
+        network.vectors(as_input(images[i : i + _BATCH])) for i in range(0, len(images), _BATCH)
+    ]
+    features: Float64 = torch.cat(parts).numpy().astype(np.float64)
+    return features
+
+
 # -- which parameters images show ------------------------------------------------------------------
 
 
-def scores(samples: Float64, truth: Float64, periodic: Mask, blocks: Indices) -> Float64:
-    """Log scores (2, d) in nats of the samples (n, d) of one image, given its truth (d,).
+def scores(samples: Float64, truth: Float64, blocks: Indices) -> Float64:
+    """Log scores (d,) in nats of the samples (n, d) of one image, given its truth (d,).
 
-    periodic: (d,).  blocks: (m, L), axes of exchangeable blocks, which are judged each by itself,
-    and then together; both rows are the same elsewhere.
+    A model may be sure of what no image shows, so the truth of held-out renders decides: the
+    logarithm of the samples' share in its quarter of an axis, less that of the uniform density, is
+    0 on average where nothing was learned (Gneiting and Raftery 2007).
+
+    blocks: (m, L), axes of exchangeable blocks, whose samples count together.
     """
     counts = np.stack([(_quarters(samples) == k).sum(axis=0) for k in range(_BINS)], axis=1)
     p = (counts + 0.5) / (len(samples) + 0.5 * _BINS)  # (d, bins), never 0
-    quarter = _quarters(truth)
-    gain = np.log(p[np.arange(len(truth)), quarter] * _BINS)  # (d,)
-    both = np.stack([gain, gain])
-    if blocks.size:
-        both[:, blocks] = _of_blocks(samples, truth, periodic, blocks, p, quarter)[:, None]
-    return both
-
-
-def _of_blocks(
-    samples: Float64, truth: Float64, periodic: Mask, blocks: Indices, p: Float64, quarter: Indices
-) -> Float64:
-    """Mean scores (2, L) of the blocks, each by itself and together; p (d, bins), quarter (d,)."""
-    wraps = periodic[blocks[0]]
-    apart = distance(samples[:, blocks][:, :, None], truth[blocks][None, None], wraps)
-    cost = apart.mean(axis=0)  # (samples' blocks, the truth's blocks, L)
-    alone, together = np.empty(len(wraps)), np.empty(len(wraps))
-    for axis in range(len(wraps)):
-        here = p[blocks[:, axis]]  # (m, bins)
-        true = quarter[blocks[:, axis]]  # (m,)
-        others = cost.sum(axis=2) - cost[:, :, axis]
-        _, matched = linear_sum_assignment(others)
-        alone[axis] = np.log(here[np.arange(len(here)), true[matched]] * _BINS).mean()
-        together[axis] = np.log(here.mean(axis=0)[true] * _BINS).mean()
-    return np.stack([alone, together])
+    for same in blocks.T:
+        p[same] = p[same].mean(axis=0)
+    gain: Float64 = np.log(p[np.arange(len(truth)), _quarters(truth)] * _BINS)
+    for same in blocks.T:
+        gain[same] = gain[same].mean()
+    return gain
 
 
 def are_shown(scored: Float64, names: Sequence[str]) -> Mask:
-    """Which axes (d,) belong to parameters that images show, by scores (n, 2, d) of n images.
+    """Which axes (d,) belong to parameters that images show, by scores (n, d) of n images.
 
     names: (d,), of the parameters.  One of several axes is enough, as of a choice.
     """
-    mean = scored.mean(axis=0)
-    n = len(scored)
+    mean, n = scored.mean(axis=0), len(scored)
     error = scored.std(axis=0, ddof=1) / np.sqrt(n) if n > 1 else np.zeros_like(mean)
-    shown = ((mean >= _LEAST) & (mean >= _ERRORS * error)).any(axis=0)
+    shown = (mean >= _LEAST) & (mean >= _ERRORS * error)
     known = {name for name, each in zip(names, shown, strict=True) if each}
     return np.array([name in known for name in names])
-
-
-def of_any_block(names: Sequence[str], blocks: Indices) -> list[str]:
-    """Names (d,) without the number of an exchangeable block: "lamps.x" for "lamps[2].x".
-
-    blocks: (m, L), axes.  Names that differ in more than such numbers stay as they are.
-    """
-    found = list(names)
-    for axes in blocks.T.tolist() if blocks.size else []:
-        parts = [_NUMBER.split(names[axis]) for axis in axes]
-        if len({tuple(part[::2]) for part in parts}) > 1:
-            continue
-        same = [len(set(column)) == 1 for column in zip(*parts, strict=True)]
-        name = "".join(part for part, kept in zip(parts[0], same, strict=True) if kept)
-        for axis in axes:
-            found[axis] = name
-    return found
 
 
 def _quarters(x: Float64) -> Indices:
@@ -299,15 +260,10 @@ class Report:
     within: share of pictures with one of 64 hypotheses within 0.05, and within 0.1, of the unit
         cube in every parameter that the images show; in all where they show none.
     coverage: share of pictures whose parameters are in the 90 % region of highest density.
-    ranks: (d,), share of pictures whose parameter is between the 5 % and the 95 % quantile of its
-        samples; simulation-based calibration (Talts et al. 2018, arXiv:1804.06788) has 0.9.  Not
-        for exchangeable blocks, whose order means nothing: NaN.
     unseen: parameters of which the images tell nothing, as far as was learned, see `are_shown`;
         "lamps.x" is that of every block where blocks are exchangeable.
     curve: of each pass, see `training.Curve`.
     augment: how much its renders were changed, see `augmentation`.
-    parameters: how many there are, as `unseen` names them; axes are more where a choice has
-        several, or blocks are exchangeable.
     emulated: share of the variance of held-out renders that the emulator explains; None without
         an emulator.
     clutter: what renders were composed with, in words; None: nothing.
@@ -320,109 +276,52 @@ class Report:
     nll: float
     within: tuple[float, float]
     coverage: float
-    ranks: tuple[float, ...]
     unseen: tuple[str, ...]
     curve: tuple[tuple[float, float, float], ...]
     augment: str
     scale: float
     fitted: int
-    parameters: int
     emulated: float | None
     clutter: str | None = None
 
     def __str__(self) -> str:
         judges = self.held_out - self.fitted  # held-out renders that did not choose the scale
-        chosen = "" if len(self.curve) < 2 else ", which also chose the pass"  # others are worse
+        pictures = min(judges, _PICTURES)
+        near, nearly, inside = (
+            self._share(share, pictures) for share in (*self.within, self.coverage)
+        )
+        calibrated = f"not calibrated: that takes {ENOUGH * HELD_OUT:,} renders"
+        if self.fitted:
+            calibrated = f"calibrated: standard deviations times {self.scale:.2f}"
+        clutter = "" if self.clutter is None else f", {self.clutter}"
         lines = [
             f"{self.renders:,} renders, {len(self.curve)} passes in {self.seconds:,.0f} s, "
-            f"augment={self.augment!r}" + ("" if self.clutter is None else f", {self.clutter}")
+            f"augment={self.augment!r}{clutter}",
+            f"{against_prior(self.nll)} on {judges:,} held-out renders",
+            f"one of {_HYPOTHESES} hypotheses is within 0.05 of the box in {near}, within 0.1 in "
+            f"{nearly} of {pictures} pictures, in the parameters that the images show",
+            f"90 % regions hold the truth in {inside} of {pictures} pictures; {calibrated}",
         ]
+        if self.unseen:
+            why = "the images do not show it, or it takes more renders or passes"
+            lines.append(f"nothing was learned of {', '.join(self.unseen)}: {why}")
         if self.failed:
-            what = "render failed and was" if self.failed == 1 else "renders failed and were"
-            lines.append(f"{self.failed:,} {what} left out: the model knows nothing there")
-        lines.append(f"{against_prior(self.nll)} on {judges:,} held-out renders{chosen}")
-        if len(self.curve) > 1:  # it says whether more passes help
-            nats = ", ".join(f"{-held_out:.2f}" for _, _, held_out in self.curve)
-            lines.append(f"nats after each pass: {nats}")
-        lines += self._found()
-        lines.append(
-            f"90 % regions hold the truth in {self._share(self.coverage)} of {self._pictures} "
-            "pictures"
-        )
-        known = [share for share in self.ranks if math.isfinite(share)]
-        if known:
-            low, high = f"{min(known):.0%}", f"{max(known):.0%}"
-            lines.append(
-                "the truth is between the 5 % and the 95 % quantile of a parameter's samples in "
-                f"{low if low == high else f'{low} to {high}'} of pictures (90 % is right, "
-                f"+- {math.sqrt(0.9 * 0.1 / max(self._pictures, 1)):.0%} by chance)"
-            )
-        if self.fitted:
-            lines.append(
-                f"calibrated by {self.fitted:,} other held-out renders: standard deviations times "
-                f"{self.scale:.2f}"
-            )
-        else:
-            lines.append(f"not calibrated: that takes {_CALIBRATED:,} renders")
+            lines.append(f"renders that failed and were left out: {self.failed:,}")
         if self.emulated is not None:
             used = "it refines hypotheses" if self.emulates else "too little to be used"
-            lines.append(
-                f"the emulator explains {self._explained:.1%} of the variance of held-out renders: "
-                f"{used}"
-            )
+            explained = max(0.0, self.emulated)
+            lines.append(f"the emulator explains {explained:.1%} of the variance: {used}")
         return "\n".join(lines)
 
     @property
     def emulates(self) -> bool:
         """Whether there is an emulator that is used: it explains nine tenths, as it is printed."""
-        return self._explained >= _EXPLAINED
+        return round(self.emulated or 0.0, 3) >= _EXPLAINED
 
-    @property
-    def _explained(self) -> float:
-        """Share of variance in whole tenths of a percent; 0 without an emulator."""
-        return round(max(0.0, self.emulated or 0.0), 3)
-
-    @property
-    def _pictures(self) -> int:
-        """The first of those that judge, of which shares are."""
-        return min(self.held_out - self.fitted, _PICTURES)
-
-    def _share(self, share: float) -> str:
-        """Share of pictures with its standard error, as if there were one more of either kind."""
-        n = self._pictures
+    def _share(self, share: float, n: int) -> str:
+        """Share of n pictures with its standard error, as if there were one more of either kind."""
         near = (share * n + 1) / (n + 2)
         return f"{share:.0%} +- {math.sqrt(near * (1 - near) / max(n, 1)):.0%}"
-
-    def _found(self) -> list[str]:
-        """Lines on how near hypotheses are; they say nothing of what was not learned."""
-        near = (
-            f"one of {_HYPOTHESES} hypotheses is within 0.05 of the box in "
-            f"{self._share(self.within[0])}, within 0.1 in {self._share(self.within[1])} of "
-            f"{self._pictures} pictures"
-        )
-        if not self.unseen:
-            return [near]
-        of = self.parameters
-        them = "it" if len(self.unseen) == 1 else "them"
-        why = f"the images do not show {them}, or it takes more renders or passes"
-        if len(self.unseen) >= of:
-            return [f"nothing was learned of any of the {of} parameters: {why}"]
-        return [
-            f"{near}, in the {of - len(self.unseen)} of {of} parameters that the images show",
-            f"nothing was learned of {', '.join(self.unseen)}: {why}",
-        ]
-
-    def state_dict(self) -> dict[str, Any]:
-        """All of it, as lists and numbers."""
-        return asdict(self)
-
-    @classmethod
-    def from_state(cls, state: Mapping[str, Any]) -> Self:
-        """Report of a state that `state_dict` gave."""
-        lists = {"within", "ranks", "unseen"}
-        plain: dict[str, Any] = {k: tuple(v) if k in lists else v for k, v in state.items()}
-        plain["curve"] = tuple(tuple(row) for row in state["curve"])
-        return cls(**plain)
 
 
 def against_prior(nll: float) -> str:
@@ -436,27 +335,23 @@ class Distance:
     periodic: (d,), axes that wrap around.  blocks: (n, L), axes of each exchangeable block.
     """
 
-    def __init__(self, periodic: Mask, blocks: Sequence[Sequence[int]] = ()) -> None:
-        self.periodic, self.blocks = periodic, np.array(blocks, np.intp)
+    def __init__(self, periodic: Sequence[bool], blocks: Sequence[Sequence[int]] = ()) -> None:
+        self.periodic, self.blocks = np.array(periodic), np.array(blocks, np.intp)
 
     def __call__(self, X: Float64, x: Float64) -> Float64:
         """Distances (n,) of points X (n, d) from x (d,)."""
-        if len(self.blocks) == 0:
-            return np.asarray(distance(X, x, self.periodic).max(axis=1), np.float64)
-        return np.array([distance(self.matched(row, x), x, self.periodic).max() for row in X])
+        matched = np.array([self.matched(row, x) for row in X]) if len(self.blocks) else X
+        return np.asarray(distance(matched, x, self.periodic).max(axis=1), np.float64)
 
     def matched(self, row: Float64, x: Float64) -> Float64:
         """Return the point `row` (d,) with its blocks in the order in which they are nearest x.
 
         That is the order with the least sum of differences of all parameters: each of them says
-        something of which block is which.  `Exchangeability.aligned` sums the blocks' largest
-        differences instead, since searches tell optima apart by the largest.  No search uses this
-        one; it measures models.
+        something of which block is which.
         """
         wraps = self.periodic[self.blocks[0]]
         apart = distance(row[self.blocks][:, None], x[self.blocks][None], wraps)  # (n, n, L)
-        apart = apart.sum(axis=-1)
-        _, place = linear_sum_assignment(apart)
+        _, place = linear_sum_assignment(apart.sum(axis=-1))
         sorted_ = row.copy()
         sorted_[self.blocks[place]] = row[self.blocks]
         return sorted_
@@ -465,7 +360,6 @@ class Distance:
 def report_of(
     network: Network,
     training: Training,
-    distance: Distance,
     names: Sequence[str],
     *,
     failed: int,
@@ -483,9 +377,6 @@ def report_of(
     images = training.shown(np.flatnonzero(fit))
     network.scale = fitted_scale(network, x[fit], images, seed, partial(on_progress, "calibrate"))
     images = training.shown(np.flatnonzero(judges))
-    judged = _judged(
-        network, x[judges], images, names, distance, seed, partial(on_progress, "judge")
-    )
     return Report(
         renders=int((~aside).sum()),
         failed=failed,
@@ -497,7 +388,7 @@ def report_of(
         fitted=int(fit.sum()),
         emulated=emulated,
         clutter=None if training.clutter is None else training.clutter.name,
-        **judged,
+        **_judged(network, x[judges], images, names, seed, partial(on_progress, "judge")),
     )
 
 
@@ -507,15 +398,15 @@ def _judged(
     x: Float64,
     images: Pixels,
     names: Sequence[str],
-    distance: Distance,
     seed: int,
     on_picture: OnPicture,
 ) -> dict[str, Any]:
     """Those fields of `Report` that renders measure, x (n, d) and images (n, H, W, 3)."""
+    apart = Distance(network.periodic, network.blocks)
     u = torch.from_numpy(x.astype(np.float32))
     starts = range(0, len(u), _BATCH)
     each = [network.log_prob(as_input(images[i : i + _BATCH]), u[i : i + _BATCH]) for i in starts]
-    drawings, inside, ranks, told = [], [], [], []
+    drawings, inside, told = [], [], []
     generator = torch.Generator().manual_seed(seed)
     pictures = min(len(x), _PICTURES)
     for i in range(pictures):
@@ -524,42 +415,21 @@ def _judged(
         samples = drawn.numpy().astype(np.float64)
         drawings.append(samples[:_HYPOTHESES])
         inside.append(in_region(network, image, drawn, u[i]))
-        ranks.append((samples < x[i]).mean(axis=0))
-        told.append(scores(samples, x[i], distance.periodic, distance.blocks))
+        told.append(scores(samples, x[i], apart.blocks))
         on_picture(i + 1, pictures)
-    names = of_any_block(names, distance.blocks)
+    in_blocks = set(apart.blocks.ravel().tolist())
+    names = [_NUMBER.sub("", one) if i in in_blocks else one for i, one in enumerate(names)]
     shown = are_shown(np.array(told), names)
     counted = shown if shown.any() else ~shown  # other axes say nothing of which block is which
     near = np.array(
         [
-            distance(np.where(counted, samples, 0.5), np.where(counted, truth, 0.5)).min()
+            apart(np.where(counted, samples, 0.5), np.where(counted, truth, 0.5)).min()
             for samples, truth in zip(drawings, x, strict=False)
         ]
     )
-    middle = ((np.array(ranks) >= 0.05) & (np.array(ranks) <= 0.95)).mean(axis=0)
-    middle[distance.blocks.ravel()] = np.nan
     return {
         "nll": -float(torch.cat(each).mean()),
         "within": (float(np.mean(near <= 0.05)), float(np.mean(near <= 0.1))),
         "coverage": float(np.mean(inside)),
-        "ranks": tuple(float(share) for share in middle),
         "unseen": tuple(dict.fromkeys(n for n, s in zip(names, shown, strict=True) if not s)),
-        "parameters": len(set(names)),
     }
-
-
-def familiarity_of(network: Network, training: Training) -> Familiarity:
-    """Familiarity of the renders of a training, the held-out ones among them."""
-    aside = is_held_out(len(training.x))
-    learned = np.flatnonzero(~aside)[:_MOST_FEATURES]  # of all images a copy would be large
-    others = training.shown(np.flatnonzero(aside))
-    return Familiarity.of(_features(network, training.shown(learned)), _features(network, others))
-
-
-def _features(network: Network, images: Pixels) -> Float64:
-    """Features (n, F) of images (n, H, W, 3)."""
-    parts = [
-        network.vectors(as_input(images[i : i + _BATCH])) for i in range(0, len(images), _BATCH)
-    ]
-    features: Float64 = torch.cat(parts).numpy().astype(np.float64)
-    return features

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -13,11 +13,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fide_plugins.denoiser.network import autocast
+from fide_plugins.denoiser.network import full_precision
 from fide_plugins.errors import CheckpointError, ImageError, ModelNotFoundError, OptionError
 from fide_plugins.learning.emulator import Emulator, inverted
 from fide_plugins.learning.judging import LARGEST_SCALE, Distance, Familiarity, Report
-from fide_plugins.learning.networks import HEADS, Network, as_input
+from fide_plugins.learning.networks import Network, as_input
 from fide_plugins.learning.renders import pixels_of, same_aspect
 from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.schema import (
@@ -54,7 +54,6 @@ _SCHEMA: Schema = {
     "renderer": text,
     "version": maybe(text),
     "fingerprint": maybe(text),
-    "head": text,
     "periodic": each(flag),
     "blocks": each(each(whole())),
     "weights": table(numbers),
@@ -68,7 +67,7 @@ _SCHEMA: Schema = {
 @contextmanager
 def _full_precision() -> Iterator[None]:
     """Float32, whatever autocast the caller's thread is in; begun anew by every call."""
-    with autocast("float32", torch.device("cpu")):
+    with full_precision(torch.device("cpu")):
         yield
 
 
@@ -76,12 +75,11 @@ def _full_precision() -> Iterator[None]:
 class Model:
     """What `learn` returns.  An autocast of the caller changes no result.
 
-    network: made of `size`, `head`, `periodic` and `blocks`, its density calibrated.
+    network: its density calibrated.
     space: names of the parameters; None: they have none.
     shape: height and width of the renders that were given.
     renderer, version: name of the renderer, and the version that the user stated.
     fingerprint: of the renderer's source or command line; None where that is not known.
-    head: kind of density, see `networks`.  blocks: exchangeable blocks of axes.
     familiarity: of features.
     report: how good it is.
     emulator: learned renderer; None: there is none.
@@ -92,9 +90,6 @@ class Model:
     shape: tuple[int, int]
     renderer: str
     version: str | None
-    head: str
-    periodic: tuple[bool, ...]
-    blocks: tuple[tuple[int, ...], ...]
     familiarity: Familiarity
     report: Report
     fingerprint: str | None = None
@@ -118,9 +113,14 @@ class Model:
         return self.network.size
 
     @property
+    def blocks(self) -> tuple[tuple[int, ...], ...]:
+        """Exchangeable blocks of axes; empty: there are none."""
+        return self.network.blocks
+
+    @property
     def distance(self) -> Distance:
         """Of points of the cube, exchangeable blocks matched."""
-        return Distance(np.array(self.periodic), self.blocks)
+        return Distance(self.network.periodic, self.blocks)
 
     @_full_precision()
     def sample(self, picture: object, n: int = 64, seed: int = 0) -> Float64:
@@ -196,19 +196,13 @@ class Model:
     def _input(self, picture: object) -> Tensor:
         """Return the picture as the network takes it; ImageError for another aspect."""
         image = as_target(picture)
-        self.check_aspect(*image.shape[:2])
-        return as_input(pixels_of(image, self.size)[None])
-
-    def check_aspect(self, height: int, width: int) -> None:
-        """Raise ImageError unless a picture has the aspect of the renders.
-
-        height, width: size of the picture in pixels.
-        """
+        height, width, _ = image.shape
         if not same_aspect((height, width), self.shape):
             raise ImageError(
                 f"the model has learned images of {self.shape[1]} x {self.shape[0]} pixels "
                 f"(width x height), and this picture is {width} x {height}: crop it to that aspect"
             )
+        return as_input(pixels_of(image, self.size)[None])
 
     def check_space(self, space: Space | int) -> None:
         """Raise OptionError, naming the difference, unless the model has learned this space.
@@ -247,14 +241,13 @@ class Model:
             "renderer": self.renderer,
             "version": self.version,
             "fingerprint": self.fingerprint,
-            "head": self.head,
-            "periodic": list(self.periodic),
+            "periodic": list(self.network.periodic),
             "blocks": [list(block) for block in self.blocks],
             "weights": dict(self.network.state_dict()),
             "emulator": None if self.emulator is None else dict(self.emulator.state_dict()),
             "scale": self.network.scale,
-            "familiarity": self.familiarity.state_dict(),
-            "report": self.report.state_dict(),
+            "familiarity": asdict(self.familiarity),
+            "report": asdict(self.report),
         }
         checkpoint.write(path, _KIND, state)
 
@@ -283,31 +276,31 @@ class Model:
     def _of(cls, state: Mapping[str, Any]) -> Self:
         check(state, _SCHEMA, {}, "model")
         check(state["report"]["emulated"], maybe(real()), {}, "model['report']['emulated']")
-        blocks = tuple(tuple(block) for block in state["blocks"])
-        if state["head"] not in HEADS or len(state["periodic"]) != state["dim"]:
-            raise ValueError("its head or its axes are none")
         (height, width), (h, w) = state["shape"], state["size"]
-        network = Network((h, w), state["periodic"], state["head"], blocks)
+        if len(state["periodic"]) != state["dim"]:
+            raise ValueError("it has another number of axes")
+        network = Network((h, w), state["periodic"], state["blocks"])
         network.load(state["weights"])
         network.scale = float(state["scale"])
         network.eval()
         emulator = None
         if state["emulator"] is not None:
-            emulator = Emulator((h, w), state["periodic"], blocks)
+            emulator = Emulator((h, w), state["periodic"], state["blocks"])
             emulator.load(state["emulator"])
+        report: dict[str, Any] = {
+            k: tuple(v) if isinstance(v, list) else v for k, v in state["report"].items()
+        }
+        report["curve"] = tuple(tuple(row) for row in report["curve"])
         model = cls(
-            network,
-            None if state["space"] is None else Space.from_dict(state["space"]),
-            (height, width),
-            state["renderer"],
-            state["version"],
-            state["head"],
-            tuple(state["periodic"]),
-            blocks,
-            Familiarity.from_state(state["familiarity"]),
-            Report.from_state(state["report"]),
-            state["fingerprint"],
-            emulator,
+            network=network,
+            space=None if state["space"] is None else Space.from_dict(state["space"]),
+            shape=(height, width),
+            renderer=state["renderer"],
+            version=state["version"],
+            familiarity=Familiarity(**state["familiarity"]),
+            report=Report(**report),
+            fingerprint=state["fingerprint"],
+            emulator=emulator,
         )
         str(model.report)  # raises for one that says nothing
         gray = torch.full((1, 3, h, w), 0.5, dtype=torch.float32)  # whatever the default is

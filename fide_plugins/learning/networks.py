@@ -1,21 +1,4 @@
-"""Networks: from a picture to a density of the parameters on the unit cube.
-
-A small convolutional encoder, without pretrained weights, makes a map of features and a vector of
-an image; one of three heads makes a density of them:
-
-`Mixture`         K diagonal Gaussians of all parameters at once (Bishop 1994)
-`Autoregressive`  one parameter after the other, each a mixture given those before it (RNADE, Uria,
-                  Murray and Larochelle 2013, arXiv:1306.0186)
-`Blocks`          exchangeable blocks of parameters, as a set (Carion et al. 2020, arXiv:2005.12872)
-
-On one axis the densities are mixtures with all their mass in [0, 1]:
-
-    ordinary axis    sum_k w_k N(u; m_k, s_k) / (Phi((1 - m_k) / s_k) - Phi(-m_k / s_k))
-    periodic axis    sum_k w_k sum_j N(u + j; m_k, s_k),  j = -1, 0, 1
-
-An integer or a choice needs nothing of its own: its cells are uniform in the cube, and so is its
-posterior within a cell.
-"""
+"""Networks: from a picture to a density of the parameters on the unit cube."""
 
 from __future__ import annotations
 
@@ -50,11 +33,7 @@ class Trainable(nn.Module, ABC):
         return next(self.parameters()).device
 
     def load(self, weights: Mapping[str, Any]) -> None:
-        """Take weights by name.
-
-        Raises RuntimeError (of PyTorch) where they do not fit, ValueError for one that is not
-        finite, also only in the precision of the network.
-        """
+        """Take weights by name; RuntimeError where they do not fit, ValueError if not finite."""
         self.load_state_dict({name: torch.as_tensor(value) for name, value in weights.items()})
         for name, weight in self.state_dict().items():
             if not torch.isfinite(weight).all():
@@ -92,10 +71,8 @@ _LARGE = 48  # pixels from which the first convolution has a stride of 4
 class Encoder(nn.Module):
     """Images (B, 3, H, W) in [0, 1] -> map (B, places, channels) and vector (B, width).
 
-    size: height and width of the images.  width: of the vector.
-
-    Images are standardized by `mean` and `std`, see `standardize`, since what a parameter changes
-    may be a small part of an image.
+    size: height and width of the images, which are standardized: what a parameter changes may be a
+    small part of an image.  width: of the vector.
     """
 
     mean: Tensor
@@ -118,7 +95,6 @@ class Encoder(nn.Module):
             places = self._map(torch.zeros(1, 3, *size, dtype=torch.float32))
             inputs = self.top(places).numel()
         self.grid = (int(places.shape[2]), int(places.shape[3]))
-        self.places = self.grid[0] * self.grid[1]
         self.project = linear(inputs, width)
         self.normalize = nn.LayerNorm(width, dtype=torch.float32)
         for layer in self.modules():
@@ -173,9 +149,15 @@ WAVES = 1 + 2 * len(_FREQUENCIES)
 
 @dataclass(frozen=True)
 class Components:
-    """Gaussians (..., d, K) of each of d axes.
+    """Mixtures of Gaussians (..., d, K) on each of d axes, with all their mass in [0, 1].
 
-    weight: their logarithms, normalized over K only where `of` is told so.
+    An integer or a choice needs nothing of its own: its cells are uniform in the cube, and so is
+    its posterior within a cell.
+
+        ordinary axis    sum_k w_k N(u; m_k, s_k) / (Phi((1 - m_k) / s_k) - Phi(-m_k / s_k))
+        periodic axis    sum_k w_k sum_j N(u + j; m_k, s_k),  j = -1, 0, 1
+
+    weight: their logarithms.
     mean, std: in units of the cube.  periodic: (d, 1), axes that wrap around.
     """
 
@@ -185,28 +167,20 @@ class Components:
     periodic: Tensor
 
     @classmethod
-    def of(cls, raw: Tensor, periodic: Tensor, *, normalize: bool = True) -> Components:
-        """Components of a network's numbers (..., d, K, 4).
+    def of(cls, raw: Tensor, periodic: Tensor, scale: float = 1.0) -> Components:
+        """Components of a network's numbers (..., d, K, 4), standard deviations times `scale`.
 
-        periodic: (d,) bool.  normalize: whether the K of each axis are a mixture by themselves.
+        periodic: (d,) bool.
         """
-        weight, first, second, scale = raw.unbind(-1)
+        weight, first, second, spread = raw.unbind(-1)
         wraps = periodic[:, None]
         angle = torch.atan2(second, first + 1e-6) / (2 * math.pi)
         mean = torch.where(wraps, angle - angle.floor(), torch.sigmoid(first))
-        largest = _largest(wraps)  # (d, 1)
-        std = _SMALLEST * (largest / _SMALLEST) ** torch.sigmoid(scale + _OFFSET)
-        if normalize:
-            weight = F.log_softmax(weight, dim=-1)
-        return cls(weight, mean, std, wraps)
-
-    def widened(self, scale: float) -> Components:
-        """Return the same with standard deviations times `scale`, see `judging`."""
-        if scale == 1.0:
-            return self
-        largest = _largest(self.periodic)
-        std = torch.minimum(self.std * scale, largest)  # what wraps stays within three turns
-        return Components(self.weight, self.mean, std, self.periodic)
+        largest = torch.where(wraps, _LARGEST_PERIODIC, _LARGEST).float()  # (d, 1)
+        std = _SMALLEST * (largest / _SMALLEST) ** torch.sigmoid(spread + _OFFSET)
+        if scale != 1.0:
+            std = torch.minimum(std * scale, largest)  # what wraps stays within three turns
+        return cls(F.log_softmax(weight, dim=-1), mean, std, wraps)
 
     def log_density(self, u: Tensor) -> Tensor:
         """Logarithm of each component's density (..., d, K), without its weight, at u (..., d)."""
@@ -224,8 +198,10 @@ class Components:
         """Logarithm of the density of each axis (..., d) at u (..., d)."""
         return torch.logsumexp(self.weight + self.log_density(u), dim=-1)
 
-    def draw(self, which: Tensor, generator: torch.Generator) -> Tensor:
-        """Draw (..., d) from the component `which` (..., d) of each axis."""
+    def draw(self, generator: torch.Generator) -> Tensor:
+        """Draw (..., d), each axis by itself."""
+        flat = self.weight.exp().reshape(-1, self.weight.shape[-1])
+        which = torch.multinomial(flat, 1, generator=generator).reshape(self.weight.shape[:-1])
         mean, std = (t.gather(-1, which[..., None])[..., 0] for t in (self.mean, self.std))
         low, high = _phi(-mean / std), _phi((1 - mean) / std)
         v = torch.rand(mean.shape, generator=generator, dtype=mean.dtype)
@@ -235,20 +211,10 @@ class Components:
         around = mean + std * torch.randn(mean.shape, generator=generator, dtype=mean.dtype)
         return torch.where(self.periodic[:, 0], around - around.floor(), straight)
 
-    def draw_mixture(self, generator: torch.Generator) -> Tensor:
-        """Draw (..., d), each axis by itself."""
-        return self.draw(choose(self.weight, generator), generator)
-
     def _mass(self) -> Tensor:
         """Of each Gaussian within [0, 1]."""
         inside = _phi((1 - self.mean) / self.std) - _phi(-self.mean / self.std)
         return inside.clamp_min(1e-6)
-
-
-def choose(log_weight: Tensor, generator: torch.Generator) -> Tensor:
-    """Draw indices (...) by the weights exp(log_weight) (..., K)."""
-    flat = log_weight.exp().reshape(-1, log_weight.shape[-1])
-    return torch.multinomial(flat, 1, generator=generator).reshape(log_weight.shape[:-1])
 
 
 def fourier(u: Tensor, periodic: Tensor) -> Tensor:
@@ -259,11 +225,6 @@ def fourier(u: Tensor, periodic: Tensor) -> Tensor:
     turns = 2 * math.pi * u[..., None] * u.new_tensor(_FREQUENCIES)
     line = torch.where(periodic, u.new_zeros(()), 2 * u - 1)
     return torch.cat([line[..., None], turns.cos(), turns.sin()], dim=-1)
-
-
-def _largest(periodic: Tensor) -> Tensor:
-    """Standard deviations in single precision, for axes that wrap around and for others."""
-    return torch.where(periodic, _LARGEST_PERIODIC, _LARGEST).float()
 
 
 def _phi(z: Tensor) -> Tensor:
@@ -285,53 +246,17 @@ def attend(query: Tensor, key: Tensor, value: Tensor) -> Tensor:
 
 # A head has
 #
-#     log_prob(places, vector, u)             logarithm of the density (B,) at u (B, d)
-#     sample(places, vector, n, generator)    draws (n, d) of one picture
-#     scale                                   of all standard deviations, see `judging`
+#     log_prob(places, vector, u, scale)             logarithm of the density (B,) at u (B, d)
+#     sample(places, vector, n, generator, scale)    draws (n, d) of one picture
 #
-# Features are those of `Encoder`; those of one picture are features of all u.
-
-
-class Mixture(nn.Module):
-    """sum_k w_k prod_i p(u_i; m_ki, s_ki).
-
-    width: of the features.  periodic: (d,) bool.  components: K.  hidden: units between.
-    """
-
-    periodic: Tensor
-
-    def __init__(
-        self, width: int, periodic: Tensor, components: int = 8, hidden: int = 256
-    ) -> None:
-        super().__init__()
-        self.components, self.scale = components, 1.0
-        self.register_buffer("periodic", periodic, persistent=False)
-        numbers = len(periodic) * components * NUMBERS
-        self.layers = nn.Sequential(linear(width, hidden), nn.GELU(), linear(hidden, numbers))
-
-    def _of(self, vector: Tensor) -> tuple[Tensor, Components]:
-        """Log weights (B, K) and components (B, d, K)."""
-        raw = self.layers(vector).view(len(vector), len(self.periodic), self.components, NUMBERS)
-        found = Components.of(raw, self.periodic, normalize=False).widened(self.scale)
-        return F.log_softmax(found.weight.mean(dim=1), dim=-1), found
-
-    def log_prob(self, places: Tensor, vector: Tensor, u: Tensor) -> Tensor:
-        """Logarithm of the density (B,) at u (B, d); of `Blocks` a lower bound."""
-        weight, found = self._of(vector)
-        total: Tensor = torch.logsumexp(weight + found.log_density(u).sum(dim=1), dim=-1)
-        return total
-
-    def sample(self, places: Tensor, vector: Tensor, n: int, generator: torch.Generator) -> Tensor:
-        """Draws (n, d) of one picture."""
-        weight, found = self._of(vector)
-        which = choose(weight.expand(n, -1), generator)[:, None].expand(-1, len(self.periodic))
-        d, k = len(self.periodic), self.components
-        mean, std = found.mean.expand(n, d, k), found.std.expand(n, d, k)
-        return Components(found.weight, mean, std, found.periodic).draw(which, generator)
+# Features are those of `Encoder`; those of one picture are features of all u.  scale: of all
+# standard deviations, see `judging`.
 
 
 class Autoregressive(nn.Module):
     """prod_i p(u_i | u_1 ... u_(i-1)), each a mixture of K Gaussians.
+
+    RNADE, Uria, Murray and Larochelle 2013, arXiv:1306.0186.
 
     width: of the features.  periodic: (d,) bool.  components: K.  hidden: units of each parameter.
     """
@@ -341,7 +266,7 @@ class Autoregressive(nn.Module):
     def __init__(self, width: int, periodic: Tensor, components: int = 6, hidden: int = 96) -> None:
         super().__init__()
         d = len(periodic)
-        self.components, self.hidden, self.scale = components, hidden, 1.0
+        self.components, self.hidden = components, hidden
         self.register_buffer("periodic", periodic, persistent=False)
         before = torch.ones(d, d, dtype=torch.float32).triu(1)  # 1 where the row comes before
         self.register_buffer("before", before, persistent=False)
@@ -356,7 +281,7 @@ class Autoregressive(nn.Module):
 
     before: Tensor
 
-    def _of(self, vector: Tensor, u: Tensor) -> Components:
+    def _of(self, vector: Tensor, u: Tensor, scale: float) -> Components:
         """Components (B, d, K), those of u_i given features and the parameters before i."""
         d, hidden = len(self.periodic), self.hidden
         waves = fourier(u, self.periodic).flatten(1)  # (B, d * 9)
@@ -365,33 +290,36 @@ class Autoregressive(nn.Module):
         h = h.view(-1, d, hidden).transpose(0, 1)  # (d, B, hidden)
         h = F.gelu(torch.baddbmm(self.second_bias, h, self.second)) + h
         raw = torch.baddbmm(self.out_bias, h, self.out).transpose(0, 1)
-        return self._components(raw, self.periodic)
+        return self._components(raw, self.periodic, scale)
 
-    def _of_one(self, i: int, context: Tensor, waves: Tensor) -> Components:
+    def _of_one(self, i: int, context: Tensor, waves: Tensor, scale: float) -> Components:
         """Components (n, 1, K) of u_i alone, as `_of` has them but for rounding.
 
         context: (d, hidden), of one picture.  waves: (n, i * 9), of the parameters before i.
         """
         h = F.gelu(context[i] + waves @ self._earlier()[:i, :, i].flatten(0, 1))
         h = F.gelu(self.second_bias[i] + h @ self.second[i]) + h
-        return self._components(self.out_bias[i] + h @ self.out[i], self.periodic[i : i + 1])
+        raw = self.out_bias[i] + h @ self.out[i]
+        return self._components(raw, self.periodic[i : i + 1], scale)
 
-    def _components(self, raw: Tensor, periodic: Tensor) -> Components:
+    def _components(self, raw: Tensor, periodic: Tensor, scale: float) -> Components:
         """Components (B, d, K) of as many numbers as they need."""
         raw = raw.reshape(len(raw), len(periodic), self.components, NUMBERS)
-        return Components.of(raw, periodic).widened(self.scale)
+        return Components.of(raw, periodic, scale)
 
     def _earlier(self) -> Tensor:
         """Weights (d, 9, d, hidden) from the waves of each parameter to the units of each."""
         d = len(self.periodic)
         return self.earlier.view(d, WAVES, d, self.hidden)
 
-    def log_prob(self, places: Tensor, vector: Tensor, u: Tensor) -> Tensor:
+    def log_prob(self, places: Tensor, vector: Tensor, u: Tensor, scale: float) -> Tensor:
         """Logarithm of the density (B,) at u (B, d); of `Blocks` a lower bound."""
-        density: Tensor = self._of(vector, u).log_mixture(u)
+        density: Tensor = self._of(vector, u, scale).log_mixture(u)
         return density.sum(dim=-1)
 
-    def sample(self, places: Tensor, vector: Tensor, n: int, generator: torch.Generator) -> Tensor:
+    def sample(
+        self, places: Tensor, vector: Tensor, n: int, generator: torch.Generator, scale: float
+    ) -> Tensor:
         """Draws (n, d) of one picture."""
         d, k = len(self.periodic), self.components
         context: Tensor = self.context(vector).view(d, self.hidden)
@@ -400,11 +328,11 @@ class Autoregressive(nn.Module):
         zeros = context.new_zeros(n, d, k)
         found = Components(zeros, zeros + 0.5, zeros + 1, self.periodic[:, None])
         for i in range(d):
-            one = self._of_one(i, context, waves[:, :i].flatten(1))
+            one = self._of_one(i, context, waves[:, :i].flatten(1), scale)
             found.weight[:, i], found.mean[:, i], found.std[:, i] = (
                 part[:, 0] for part in (one.weight, one.mean, one.std)
             )
-            u[:, i] = found.draw_mixture(generator)[:, i]
+            u[:, i] = found.draw(generator)[:, i]
             waves[:, i] = fourier(u[:, i : i + 1], self.periodic[i : i + 1])[:, 0]
         return u
 
@@ -422,6 +350,8 @@ _SET_WIDTH, _SET_HEADS, _SET_LAYERS = 96, 4, 3
 
 class Blocks(nn.Module):
     """Queries for the exchangeable blocks; all other axes by an `Autoregressive` head.
+
+    The blocks are a set (Carion et al. 2020, arXiv:2005.12872).
 
     channels, grid: of the encoder's map, grid its height and width.  width: of its vector.
     periodic: (d,) bool.  blocks: (n, L), axes of each block.
@@ -446,7 +376,6 @@ class Blocks(nn.Module):
         others = [i for i in range(len(periodic)) if i not in set(index.flatten().tolist())]
         self.others, self.dim = others, len(periodic)
         self.rest = Autoregressive(width, periodic[others]) if others else None
-        self._scale = 1.0
         n, length = index.shape
         self.place_in = linear(channels, _SET_WIDTH)
         self.register_buffer("waves", _waves(grid), persistent=False)
@@ -455,7 +384,7 @@ class Blocks(nn.Module):
         self.layers = nn.ModuleList(_SetLayer() for _ in range(_SET_LAYERS))
         self.out = linear(_SET_WIDTH, length * NUMBERS)
 
-    def _of(self, places: Tensor) -> Components:
+    def _of(self, places: Tensor, scale: float) -> Components:
         """One component (B, n, L, 1) for each query."""
         seen = self.place_in(F.layer_norm(places, places.shape[-1:]))
         image = seen + self.position(self.waves)  # (B, places, W)
@@ -464,22 +393,11 @@ class Blocks(nn.Module):
             h = layer(h, image)
         raw = self.out(F.layer_norm(h, h.shape[-1:]))
         raw = raw.view(len(places), len(self.blocks), -1, 1, NUMBERS)
-        return Components.of(raw, self.periodic).widened(self._scale)
+        return Components.of(raw, self.periodic, scale)
 
-    @property
-    def scale(self) -> float:
-        """Of all standard deviations, those of the other axes, too."""
-        return self._scale
-
-    @scale.setter
-    def scale(self, scale: float) -> None:
-        self._scale = scale
-        if self.rest is not None:
-            self.rest.scale = scale
-
-    def log_prob(self, places: Tensor, vector: Tensor, u: Tensor) -> Tensor:
+    def log_prob(self, places: Tensor, vector: Tensor, u: Tensor, scale: float) -> Tensor:
         """Logarithm of the density (B,) at u (B, d); of `Blocks` a lower bound."""
-        found = self._of(places)
+        found = self._of(places, scale)
         mean, std = (t[:, :, None] for t in (found.mean, found.std))  # (B, n, 1, L, 1)
         pairs = Components(found.weight[:, :, None], mean, std, found.periodic)
         blocks = u[:, self.blocks][:, None]  # (B, 1, n, L)
@@ -487,18 +405,20 @@ class Blocks(nn.Module):
         matched = gain.gather(2, _matching(gain)[..., None])[..., 0].sum(dim=-1)
         total = matched - math.lgamma(len(self.blocks) + 1)
         if self.rest is not None:
-            total = total + self.rest.log_prob(places, vector, u[:, self.others])
+            total = total + self.rest.log_prob(places, vector, u[:, self.others], scale)
         return total
 
-    def sample(self, places: Tensor, vector: Tensor, n: int, generator: torch.Generator) -> Tensor:
+    def sample(
+        self, places: Tensor, vector: Tensor, n: int, generator: torch.Generator, scale: float
+    ) -> Tensor:
         """Draws (n, d) of one picture."""
-        found = self._of(places)
+        found = self._of(places, scale)
         many = (n, *found.mean.shape[1:])
         weight, mean, std = (t.expand(many) for t in (found.weight, found.mean, found.std))
         u = torch.empty(n, self.dim, dtype=torch.float32)
-        u[:, self.blocks] = Components(weight, mean, std, found.periodic).draw_mixture(generator)
+        u[:, self.blocks] = Components(weight, mean, std, found.periodic).draw(generator)
         if self.rest is not None:
-            u[:, self.others] = self.rest.sample(places, vector, n, generator)
+            u[:, self.others] = self.rest.sample(places, vector, n, generator, scale)
         return u
 
 
@@ -509,10 +429,8 @@ class _SetLayer(nn.Module):
         super().__init__()
         self.among = _SetAttention()
         self.image = _SetAttention()
-        self.inner, self.outer = (
-            linear(_SET_WIDTH, 2 * _SET_WIDTH),
-            linear(2 * _SET_WIDTH, _SET_WIDTH),
-        )
+        self.inner = linear(_SET_WIDTH, 2 * _SET_WIDTH)
+        self.outer = linear(2 * _SET_WIDTH, _SET_WIDTH)
 
     def forward(self, h: Tensor, image: Tensor) -> Tensor:
         """Queries (B, n, W), image (B, places, W) -> (B, n, W)."""
@@ -527,10 +445,8 @@ class _SetLayer(nn.Module):
 class _SetAttention(nn.Module):
     def __init__(self) -> None:
         super().__init__()
-        self.query, self.key_value = (
-            linear(_SET_WIDTH, _SET_WIDTH),
-            linear(_SET_WIDTH, 2 * _SET_WIDTH),
-        )
+        self.query = linear(_SET_WIDTH, _SET_WIDTH)
+        self.key_value = linear(_SET_WIDTH, 2 * _SET_WIDTH)
         self.out = linear(_SET_WIDTH, _SET_WIDTH)
 
     def forward(self, h: Tensor, of: Tensor) -> Tensor:
@@ -557,7 +473,6 @@ def _matching(gain: Tensor) -> Tensor:
 # -- the network -----------------------------------------------------------------------------------
 
 
-HEADS = ("autoregressive", "mixture", "set")
 _FEATURES = 256
 
 
@@ -566,47 +481,37 @@ class Network(Trainable):
 
     size: height and width of the images.
     periodic: (d,), axes that wrap around.
-    head: one of `HEADS`.
-    blocks: exchangeable blocks of axes, for the head "set"; the other axes have their own head.
+    blocks: exchangeable blocks of axes, which are learned as a set.
     seed: of the initial weights.
+    scale: of the standard deviations of the density, see `judging`; no weight.
     """
 
     def __init__(
         self,
         size: tuple[int, int],
         periodic: Sequence[bool],
-        head: str = "autoregressive",
         blocks: Sequence[Sequence[int]] = (),
         seed: int = 0,
     ) -> None:
         super().__init__()
-        self.size, self.dim = size, len(periodic)
+        self.size, self.dim, self.scale = size, len(periodic), 1.0
+        self.periodic = tuple(bool(wraps) for wraps in periodic)
+        self.blocks = tuple(tuple(int(axis) for axis in block) for block in blocks)
         with torch.random.fork_rng(devices=[]):  # the global generator stays as it was
             torch.default_generator.manual_seed(seed)
             self.encoder = Encoder(size, _FEATURES)
-            self.head = self._make_head(head, torch.tensor(periodic), blocks)
+            wraps, encoder = torch.tensor(periodic), self.encoder
+            self.head: Any = (
+                Blocks(encoder.channels, encoder.grid, _FEATURES, wraps, blocks)
+                if len(blocks)
+                else Autoregressive(_FEATURES, wraps)
+            )
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-
-    def _make_head(self, head: str, periodic: Tensor, blocks: Sequence[Sequence[int]]) -> Any:
-        if head == "set":
-            return Blocks(self.encoder.channels, self.encoder.grid, _FEATURES, periodic, blocks)
-        kind: Any = Mixture if head == "mixture" else Autoregressive
-        return kind(_FEATURES, periodic)
-
-    @property
-    def scale(self) -> float:
-        """Of the standard deviations of the density, see `judging`; no weight."""
-        scale: float = self.head.scale
-        return scale
-
-    @scale.setter
-    def scale(self, scale: float) -> None:
-        self.head.scale = scale
 
     def log_prob(self, images: Tensor, u: Tensor) -> Tensor:
         """Logarithm of the density (B,) at u (B, d), given images (B, 3, H, W), or one for all."""
         places, vector = self.encoder(images)
-        density: Tensor = self.head.log_prob(places, vector, u)
+        density: Tensor = self.head.log_prob(places, vector, u, self.scale)
         return density
 
     def standardize(self, images: Tensor) -> None:
@@ -627,7 +532,7 @@ class Network(Trainable):
     def sample(self, image: Tensor, n: int, generator: torch.Generator) -> Tensor:
         """Draw (n, d) given one image (1, 3, H, W)."""
         places, vector = self.encoder(image)
-        drawn: Tensor = self.head.sample(places, vector, n, generator)
+        drawn: Tensor = self.head.sample(places, vector, n, generator, self.scale)
         return drawn
 
 

@@ -18,72 +18,59 @@ from fide_plugins.errors import DeviceMemoryError, OptionError, UnknownNameError
 from fide_plugins.learning.augmentation import AUGMENT, check_installed
 from fide_plugins.learning.clutter import Clutter, clutter_of
 from fide_plugins.learning.emulator import Emulator
-from fide_plugins.learning.judging import Distance, familiarity_of, report_of
+from fide_plugins.learning.judging import familiarity_of, report_of
 from fide_plugins.learning.model import Model
-from fide_plugins.learning.networks import HEADS, Network
-from fide_plugins.learning.rendering import all_equal, check_workers, fill, too_few
+from fide_plugins.learning.networks import Network
+from fide_plugins.learning.rendering import all_equal, fill, pool_for, too_few
 from fide_plugins.learning.renders import (
     BatchRenderer,
     Pixels,
     RenderStore,
     as_renderer,
     check_images,
-    check_room,
     folder_of,
     small_size,
-    version_for,
 )
-from fide_plugins.learning.training import Progress, Resumable, Training
+from fide_plugins.learning.training import OnPass, Training
 from fide_plugins.runtime.devices import is_out_of_gpu_memory, resolve_device
 from fide_plugins.runtime.messages import warn_user
 from fide_plugins.runtime.registry import fingerprint_of
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.space import Space
 from fide_plugins.types import Float64
-from fide_plugins.validation.options import not_negative, seconds_of
+from fide_plugins.validation.options import seconds_of
 from fide_plugins.validation.points import torch_seed, whole_number
 
+FEWEST = 100
+"""Renders that are needed."""
+_RENDERING = 0.5  # of a time limit, at most
+_DENSITY = 0.75  # of a time limit, until the emulator is trained, if there is one
+_EMULATOR_RATE = 2e-3
+_AT_A_TIME = 8  # shards that an executor gets
 
-def kind_of(
-    renderer: BatchRenderer, groups: Sequence[Sequence[int]] | None, head: str | None
-) -> tuple[str, tuple[tuple[int, ...], ...]]:
-    """Head and exchangeable blocks.
 
-    groups: blocks of axes; empty: nothing is exchangeable; None: the largest family of the space.
-    head: name in `network.HEADS`; None: "set" where there are blocks, "autoregressive" elsewhere.
-
-    Raises OptionError for groups that are not blocks or not alike, and for the head "set" without
-    blocks.
-    """
+def blocks_of(renderer: BatchRenderer, groups: Sequence[Sequence[int]] | None) -> list[list[int]]:
+    """Exchangeable blocks of axes, see `learn`; raises OptionError for what are none."""
     from fide_plugins.search.exchangeability import check_groups
 
     if groups is None:
-        groups = [] if renderer.space is None else renderer.space.largest_family
-    elif not (hasattr(groups, "__len__") and len(groups) == 0):
-        groups = check_groups(groups, renderer.dim).tolist()
-        _check_alike(groups, renderer.periodic)
-    if head == "set" and len(groups) == 0:
-        raise OptionError("the head 'set' needs exchangeable blocks: give groups, or another head")
-    blocks = tuple(tuple(int(i) for i in block) for block in groups)
-    head = head or ("set" if blocks else "autoregressive")
-    return head, blocks
-
-
-def _check_alike(blocks: Sequence[Sequence[int]], periodic: Sequence[bool]) -> None:
-    """Raise OptionError if an axis is periodic in one block, and its like in another is not."""
+        own = [] if renderer.space is None else renderer.space.largest_family
+        return [list(block) for block in own]
+    if hasattr(groups, "__len__") and len(groups) == 0:
+        return []
+    blocks: list[list[int]] = check_groups(groups, renderer.dim).tolist()
     for one, *others in zip(*blocks, strict=True):
         for other in others:
-            if periodic[one] != periodic[other]:
-                around, straight = (one, other) if periodic[one] else (other, one)
+            if renderer.periodic[one] != renderer.periodic[other]:
+                around, straight = (one, other) if renderer.periodic[one] else (other, one)
                 raise OptionError(
                     f"groups must be alike: parameter {around} is periodic, and {straight}, which "
                     "has its place in another group, is not"
                 )
+    return blocks
 
 
-def has_emulator(
-    emulator: bool | None, blocks: Sequence[Sequence[int]], clutter: bool = False
-) -> bool:
+def has_emulator(emulator: bool | None, blocks: Sequence[Sequence[int]], clutter: bool) -> bool:
     """Whether a learned renderer is trained; None: where there are exchangeable blocks.
 
     Raises OptionError for what is no bool or None, and for one without blocks or with clutter.
@@ -97,13 +84,6 @@ def has_emulator(
     if emulator and clutter:
         raise OptionError("an emulator imitates renders without clutter: leave out one of the two")
     return bool(blocks) and not clutter if emulator is None else emulator
-
-
-FEWEST = 100
-"""Renders that are needed."""
-_RENDERING = 0.5  # of a time limit, at most
-_DENSITY = 0.75  # of a time limit, until the emulator is trained, if there is one
-_EMULATOR_RATE = 2e-3
 
 
 @dataclass(frozen=True)
@@ -124,13 +104,13 @@ class LearnProgress:
 
 
 @dataclass(frozen=True)
-class Plan:
+class _Plan:
     """All that is decided before anything is rendered.
 
     shape, size: (H, W) of an image, and of what the network sees.
     seconds, start: time limit, and the monotonic clock when it began; None: no limit.
     emulates: whether a learned renderer is trained, too.
-    The rest: arguments of `pipeline.learn`, checked.
+    The rest: arguments of `learn`, checked.
     """
 
     renderer: BatchRenderer
@@ -141,22 +121,14 @@ class Plan:
     workers: int
     executor: object
     seed: int
-    version: str | None
-    head: str
-    blocks: tuple[tuple[int, ...], ...]
+    blocks: list[list[int]]
     seconds: float | None
     start: float
     on_progress: Callable[[LearnProgress], None]
     augment: str
     device: torch.device
     emulates: bool
-    clutter: Clutter | None = None
-
-    def check(self, store_limit: float) -> None:
-        """Raise OptionError where it cannot be carried out; store_limit: GiB of renders."""
-        if self.workers > 1 or self.executor is not None:
-            check_workers(self.renderer, self.workers, self.executor)
-        check_room(self.settings, self.renders, store_limit * 2**30)
+    clutter: Clutter | None
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -168,59 +140,57 @@ class Plan:
             "size": list(self.size),
             "seed": self.seed,
             "renderer": self.renderer.name,
-            "version": self.version,
+            "version": self.renderer.version,
             "space": None if space is None else space.to_dict(),
         }
 
-    def model(self, store: RenderStore) -> Model:
+    def model(self, folder: Path) -> Model:
         """Render, train and judge."""
-        more = bool(store.missing(self.renders))
-        check_images(store, self.renderer, more)
+        x, images, failed = self._renders(folder)
+        with _enough_memory(self.device):
+            network, density = self._density(x, images, folder)
+            emulator, emulated = self._emulator(x, images, folder)
+        report = report_of(
+            network, density, self._names, failed=failed, emulated=emulated,
+            on_progress=lambda *at: self.on_progress(LearnProgress(*at)),
+        )  # fmt: skip
+        return Model(
+            network=network, space=self.renderer.space, shape=self.shape,
+            renderer=self.renderer.name, version=self.renderer.version,
+            familiarity=familiarity_of(network, density), report=report,
+            fingerprint=fingerprint_of(self.renderer.source), emulator=emulator,
+        )  # fmt: skip
+
+    def _renders(self, folder: Path) -> tuple[Float64, Pixels, int]:
+        """Parameters (n, d) and images (n, H, W, 3), and how many renders have failed."""
+        store = RenderStore(folder, self.settings, fingerprint_of(self.renderer.source))
+        check_images(store, self.renderer, more=bool(store.missing(self.renders)))
         fill(
-            store,
-            self.renderer,
-            self.renders,
-            workers=self.workers,
-            executor=self.executor,
+            store, self.renderer, self.renders, workers=self.workers, executor=self.executor,
             seconds=self._left(_RENDERING),
             on_progress=lambda n: self.on_progress(LearnProgress("render", n, self.renders)),
-        )
+        )  # fmt: skip
         x, images = store.read(self.renders)
         failed = store.failed(self.renders)
         if len(x) < FEWEST:
             store.remove([*failed])  # so that a renderer that was mended renders them
             raise too_few(len(x), FEWEST, sum(failed.values()), self.renders)
         if all(np.array_equal(image, images[0]) for image in images):
-            store.remove_image(images[0])
+            store.remove(store.shards)
             raise all_equal(self.renderer.name, len(images))
-        with _enough_memory(self.device):
-            network, density = self._density(x, images, store.folder)
-            emulator, emulated = self._emulator(x, images, store.folder)
-        report = report_of(
-            network, density, Distance(np.array(self.renderer.periodic), self.blocks), self._names,
-            failed=sum(failed.values()), emulated=emulated,
-            on_progress=lambda *at: self.on_progress(LearnProgress(*at)),
-        )  # fmt: skip
-        return Model(
-            network=network, space=self.renderer.space, shape=self.shape,
-            renderer=self.renderer.name, version=self.version, head=self.head,
-            periodic=self.renderer.periodic, blocks=self.blocks,
-            familiarity=familiarity_of(network, density), report=report,
-            fingerprint=fingerprint_of(self.renderer.source), emulator=emulator,
-        )  # fmt: skip
+        return x, images, sum(failed.values())
 
     @torch.inference_mode(False)  # the caller may be in it, or in `no_grad`
     @torch.enable_grad()
     def _density(self, x: Float64, images: Pixels, folder: Path) -> tuple[Network, Training]:
         """Trained network, and its training."""
-        network = Network(self.size, self.renderer.periodic, self.head, self.blocks, self.seed)
+        network = Network(self.size, self.renderer.periodic, self.blocks, self.seed)
         left = self._left(_DENSITY if self.emulates else 1.0)
         training = Training(
             network.to(self.device), x, images, self.passes, self.seed, left,
             augment=self.augment, clutter=self.clutter,
         )  # fmt: skip
-        over = self.emulates and self._resumable(folder, "emulator", len(x)).interrupted
-        self._resumable(folder, "training", len(x)).run(training, self._say("train"), over=over)
+        training.run_from(folder / "training", self._plan_of(training), self._say("train"))
         network.to("cpu").eval()
         return network, training
 
@@ -237,7 +207,7 @@ class Plan:
             emulator.to(self.device), x, images, self.passes, self.seed, self._left(),
             augment="none", learning_rate=_EMULATOR_RATE,
         )  # fmt: skip
-        self._resumable(folder, "emulator", len(x)).run(training, self._say("emulate"))
+        training.run_from(folder / "emulator", self._plan_of(training), self._say("emulate"))
         if not math.isfinite(training.best):
             warn_user(
                 "the training of the emulator has diverged, and the model has none: learn with "
@@ -246,20 +216,16 @@ class Plan:
             return None, None
         return emulator.to("cpu").eval(), 1 - training.best
 
-    def _resumable(self, folder: Path, name: str, renders: int) -> Resumable:
-        """What a training is kept as, name: "training" (of the density) or "emulator"."""
-        own = name == "emulator"
-        plan = {
-            "renders": renders, "passes": self.passes, "head": name if own else self.head,
-            "seed": self.seed, "augment": "none" if own else self.augment,
-            "blocks": [list(block) for block in self.blocks],
-            **({} if self.clutter is None else {"clutter": self.clutter.digest}),
+    def _plan_of(self, training: Training) -> dict[str, Any]:
+        """What a training depends on: its checkpoint is used if it is of the same."""
+        return {
+            "renders": len(training.x), "passes": self.passes, "seconds": self.seconds,
+            "seed": self.seed, "augment": training.augment, "blocks": self.blocks,
+            "clutter": None if training.clutter is None else training.clutter.digest,
         }  # fmt: skip
-        return Resumable(folder / name, plan)
 
-    def _say(self, stage: str) -> Callable[[Progress], None]:
-        """What a training calls after each pass."""
-        return lambda at: self.on_progress(LearnProgress(stage, at.passed, at.passes, at.held_out))
+    def _say(self, stage: str) -> OnPass:
+        return lambda done, loss: self.on_progress(LearnProgress(stage, done, self.passes, loss))
 
     def _left(self, share: float = 1.0) -> float | None:
         """Seconds until a share of the time has passed since the beginning; None: no limit."""
@@ -291,9 +257,6 @@ def _enough_memory(device: torch.device) -> Iterator[None]:
         ) from error
 
 
-_AT_A_TIME = 8  # shards that an executor gets
-
-
 @user_threads
 def learn(
     render: Any,
@@ -307,12 +270,9 @@ def learn(
     passes: int = 10,
     executor: object = None,
     groups: Sequence[Sequence[int]] | None = None,
-    head: str | None = None,
     augment: str = "photograph",
     emulator: bool | None = None,
-    version: str | None = None,
     seed: int | None = 0,
-    store_limit: float = 20.0,
     device: str | torch.device = "auto",
     backgrounds: str | os.PathLike[str] | Sequence[object] | None = None,
     clutter: bool | None = None,
@@ -324,7 +284,8 @@ def learn(
     ----------
     render
         function of a dictionary of parameters (with a `Space`) or of a point (d,) of the cube (with
-        a number) that returns an image; or a task with `render(X)`.
+        a number) that returns an image; or a task with `render(X)`.  Its attribute `version`, a
+        text, says which images it makes: other versions have other renders.
     space
         `Space`, or number of parameters; None: the task's own.
     renders
@@ -333,9 +294,7 @@ def learn(
         longer side, in pixels, of what the network sees; 16 to 256.
     time
         how long everything may take, half of it rendering at most: seconds, or a text such as "10m"
-        or "1h30m"; None: no limit.  With a limit the result depends on the machine.  A call that
-        was interrupted in the emulator's part goes on there: more time is the density's only in the
-        call after it.
+        or "1h30m"; None: no limit.  With a limit the result depends on the machine.
     workers
         processes that render; with more than one `render` must be picklable.  0 and 1: in this
         process.  None, the default: 1, or 8 with an executor.
@@ -344,18 +303,13 @@ def learn(
         arguments goes on where another one was interrupted, and more `renders` add to them.  None,
         the default: nothing is kept.
     passes
-        over the renders, at most; training ends earlier where held-out renders say so.  With more
-        of them the same call goes on from where it ended, at the rate that the longer schedule has
-        there, to the last one.
+        over the renders, at most; training ends earlier where held-out renders say so.
     executor
         where to render instead, as for `fit`: "threads", any executor of `concurrent.futures`, or
         Dask's Client; `workers` says how many shards of 100 renders it gets at a time.
     groups
-        exchangeable blocks of axes, such as [[0, 1], [2, 3]]; []: none are exchangeable; None:
-        those of the space.
-    head
-        "autoregressive", "mixture" or "set", see `learning.networks`; None: "set" where there
-        are exchangeable blocks, "autoregressive" elsewhere.
+        exchangeable blocks of axes, such as [[0, 1], [2, 3]], which are learned as a set; []: none
+        are exchangeable; None: those of the space.
     augment
         how much renders are changed while they are learned: "photograph", for pictures of any
         source; "render", focus and noise alone, for pictures that the renderer itself makes;
@@ -363,18 +317,12 @@ def learn(
     emulator
         whether a learned renderer is trained, too, by which hypotheses are refined without renders,
         see `learning.emulator`; it needs exchangeable blocks.  None: where there are some.
-    version
-        of the renderer, a text; other versions have other renders.  None: that which the renderer
-        states as its attribute `version`, if it does.
     seed
         of the parameters, the initial weights and the order of learning; None draws one, and a call
         that was interrupted cannot go on.
-    store_limit
-        GiB that the renders may take, finite.
     device
         where the network trains: "auto" takes CUDA if there is some.  The model computes on the
-        CPU, whatever trained it.  A training goes on wherever it is continued, but results of
-        another device differ.
+        CPU, whatever trained it.
     backgrounds
         what photographs have behind the object: a folder of pictures, a list of them, or
         "generated".  Each pass puts every render onto other parts of them; `render` says what it
@@ -394,8 +342,7 @@ def learn(
         folder of renders holds others: their settings differ, or the renderer's images do, see
         `learning.renders`; or another call is learning the same file.
     CheckpointError
-        a ValueError: a file is damaged, or of something else: a shard of renders, or a training
-        that was interrupted.
+        a ValueError: a shard of renders or a training that was interrupted is damaged.
     RenderError
         a RuntimeError: the renderer fails, or its images are all equal.
     DeviceMemoryError
@@ -407,34 +354,28 @@ def learn(
     """
     if workers is None:
         workers = 1 if executor is None else _AT_A_TIME
-    _check(renders, size, passes, workers, head, augment, on_progress)
-    seed, store_limit = torch_seed(seed), not_negative("store_limit", store_limit)
-    seconds = None if time is None else seconds_of("time", time)
+    _check(renders, size, passes, workers, augment, on_progress)
+    seed, seconds = torch_seed(seed), None if time is None else seconds_of("time", time)
     trains_on = resolve_device(device)
     renderer = as_renderer(render, space)
-    version, (head, blocks) = version_for(renderer, version), kind_of(renderer, groups, head)
+    blocks = blocks_of(renderer, groups)
     composed = clutter_of(backgrounds, clutter, seed)
     emulates = has_emulator(emulator, blocks, composed is not None)
+    pool_for(renderer, (1, 1), workers, executor)  # raises where it cannot be sent there
+    _ = renderer.version  # raises for one that is no text
     shape, coverage = renderer.first_shape()
     if composed is not None and not coverage:
         composed = _without_coverage(composed, backgrounds)
     renderer = replace(renderer, shape=shape, coverage=composed is not None and coverage)
-    plan = Plan(
+    plan = _Plan(
         renderer=renderer, shape=shape, size=small_size(shape, size),
         renders=renders, passes=passes, workers=workers, executor=executor, seed=seed,
-        version=version, head=head, blocks=blocks, seconds=seconds, start=clock.monotonic(),
+        blocks=blocks, seconds=seconds, start=clock.monotonic(),
         on_progress=on_progress or (lambda progress: None), augment=augment, device=trains_on,
         emulates=emulates, clutter=composed,
     )  # fmt: skip
-    plan.check(store_limit)
-    return _model_of(plan, out)
-
-
-def _model_of(plan: Plan, out: str | os.PathLike[str] | None) -> Model:
-    """The model of a plan, saved where that is asked for."""
     with folder_of(out) as folder:
-        source = fingerprint_of(plan.renderer.source)
-        model = plan.model(RenderStore(folder, plan.settings, source))
+        model = plan.model(folder)
     if out is not None:
         model.save(out)
     return model
@@ -451,7 +392,7 @@ def _without_coverage(clutter: Clutter, backgrounds: object) -> Clutter:
 
 
 def _check(
-    renders: object, size: object, passes: object, workers: object, head: object, augment: object,
+    renders: object, size: object, passes: object, workers: object, augment: object,
     on_progress: object,
 ) -> None:  # fmt: skip
     whole_number("renders", renders, FEWEST)
@@ -459,8 +400,6 @@ def _check(
         raise OptionError(f"size is 16 to 256 pixels, not {size}")
     whole_number("passes", passes, 1)
     whole_number("workers", workers, 0)
-    if head is not None and head not in HEADS:
-        raise UnknownNameError.of("head", head, HEADS)
     if augment not in AUGMENT:
         raise UnknownNameError.of("augment", augment, AUGMENT)
     check_installed(str(augment))

@@ -1,11 +1,4 @@
-"""Training of a network on renders, judged on renders held out, and its checkpoints.
-
-AdamW with a short warm-up and a cosine schedule (Loshchilov and Hutter 2019, arXiv:1711.05101).  A
-pass sees every training render once, in an order that depends on the seed and the pass alone, so
-that training goes on from a checkpoint as if it had not been interrupted.  The weights of the pass
-with the lowest held-out loss are kept: of a `Network` the negative log-likelihood in nats, of an
-`Emulator` the share of the images' variance that it does not explain.
-"""
+"""Training of a network on renders, judged on renders held out, and its checkpoints."""
 
 from __future__ import annotations
 
@@ -14,7 +7,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import torch
@@ -37,22 +30,16 @@ _PATIENCE = 4  # passes without a better held-out likelihood that end training
 _STANDARD = 1000  # renders by which images are standardized
 _CLIP = 5.0  # norm of a gradient
 _BATCH_OF_TEST = 500
+_KIND = "training"
+_REMEDY = "delete this file, and it is trained again; the renders are kept"
 
 Curve = list[list[float]]
 """Of each pass: renders seen so far, training and held-out loss.
 
 The last pass is unfinished where the time was up.
 """
-
-
-@dataclass(frozen=True)
-class Progress:
-    """What a caller is told while training: pass, passes, and the losses of the last pass."""
-
-    passed: int
-    passes: int
-    training: float
-    held_out: float
+OnPass: TypeAlias = Callable[[int, float], None]
+"""Called after every pass with how many there were, and the held-out loss of the last."""
 
 
 def is_held_out(n: int) -> Mask:
@@ -64,7 +51,11 @@ def is_held_out(n: int) -> Mask:
 
 @dataclass
 class Training:
-    """Training of a network.
+    """Training of a network: AdamW, a short warm-up and a cosine schedule.
+
+    (Loshchilov and Hutter 2019, arXiv:1711.05101.)  A pass sees every training render once, in an
+    order that depends on the seed and the pass alone, so that training goes on from a checkpoint as
+    if it had not been interrupted.  The weights of the pass with the lowest held-out loss are kept.
 
     network: changed in place, on its device; at the end it has the best weights.  An emulator needs
         images as they are: augment="none".
@@ -73,9 +64,7 @@ class Training:
     augment: how much images are changed, see `augmentation`.
     clutter: what renders are composed with, anew in each pass; those that judge once.
     curve: see `Curve`.  passed: passes done.  spent: seconds that they took.
-    extended: whether a longer schedule, or more time, took the place of one that was over.  It is
-        not ended early: its rate is high again, and held-out renders are better only when it has
-        fallen.
+    best: lowest held-out loss of a pass; +inf before the first.
     """
 
     network: Trainable
@@ -91,7 +80,7 @@ class Training:
     curve: Curve = field(default_factory=list)
     passed: int = 0
     spent: float = 0.0
-    extended: bool = False
+    best: float = math.inf
 
     def __post_init__(self) -> None:
         aside = is_held_out(len(self.x))
@@ -101,20 +90,19 @@ class Training:
         )
         self.network.standardize(as_input(self.shown(self._train[:_STANDARD])))  # not on a GPU
         self._judges = self.shown(self._test)
-        self._best, self._best_weights = math.inf, _copy(self.network)
+        self._best_weights = _copy(self.network)
+        self._was_over = False
 
     def run(
         self,
-        on_pass: Callable[[Progress], None] | None = None,
+        on_pass: OnPass | None = None,
         save: Callable[[dict[str, Any]], None] | None = None,
     ) -> None:
         """Train until the passes or the seconds are over, or nothing improves.
 
-        on_pass: called after every pass.  save: called with `state_dict()` after every pass.
+        save: called with `state_dict()` after every pass.
         """
         n = len(self._train)
-        if not self.over and self.curve and self.curve[-1][0] > self.passed * n:
-            self.curve.pop()  # the unfinished pass begins again
         while not self.over:
             start = time.monotonic()
             with repeatable(self.network.device):
@@ -123,32 +111,20 @@ class Training:
             self.curve.append([float(self.passed * n + seen), loss, test])
             self.passed += seen == n
             self.spent += time.monotonic() - start
-            if test < self._best:
-                self._best, self._best_weights = test, _copy(self.network)
+            if test < self.best:
+                self.best, self._best_weights = test, _copy(self.network)
             if save is not None:
                 save(self.state_dict())
             if on_pass is not None:
-                on_pass(Progress(self.passed, self.passes, loss, test))
+                on_pass(self.passed, test)
         self.network.load_state_dict(self._best_weights)
 
     @property
     def over(self) -> bool:
         """Whether training is complete, or was ended early."""
-        stalled = not self.extended and self.passed - self._best_pass > _PATIENCE
-        return self._late() or self.passed >= self.passes or stalled
-
-    @property
-    def best(self) -> float:
-        """Lowest held-out loss of a pass; +inf before the first."""
-        return self._best
-
-    @property
-    def _best_pass(self) -> int:
-        """Pass, from 1, that was the best on held-out renders; 0 before the first."""
-        if not self.curve:
-            return 0
-        best = min(self.curve, key=lambda row: row[2])
-        return math.ceil(best[0] / len(self._train))
+        held_out = [test for _, _, test in self.curve]
+        stalled = bool(held_out) and len(held_out) - 1 - np.argmin(held_out) > _PATIENCE
+        return self._was_over or self._late() or self.passed >= self.passes or bool(stalled)
 
     def _late(self, more: float = 0.0) -> bool:
         return self.seconds is not None and self.spent + more >= self.seconds
@@ -217,16 +193,38 @@ class Training:
 
     # -- checkpoints -------------------------------------------------------------------------------
 
+    def run_from(self, file: Path, plan: Mapping[str, Any], on_pass: OnPass) -> None:
+        """As `run`, from the checkpoint in `file` if it is of this plan; it is kept up to date.
+
+        A training that was over stays so.
+
+        Raises CheckpointError for a damaged file, OSError if it cannot be written.
+        """
+        if file.exists():
+            try:
+                saved = checkpoint.read(file, _KIND)
+                if saved["plan"] == plan:
+                    self.load_state_dict(saved["state"])
+            except (*IMPOSSIBLE, CheckpointError) as error:
+                if is_out_of_memory(error):
+                    raise
+                why = f"{file}: damaged, or no training ({error!r}); {_REMEDY}"
+                raise CheckpointError(why) from error
+
+        def save(state: dict[str, Any]) -> None:
+            checkpoint.write(file, _KIND, {"plan": dict(plan), "state": state})
+
+        self.run(on_pass, save)
+
     def state_dict(self) -> dict[str, Any]:
         """Everything that changes, as nested dicts of arrays and numbers."""
         moments = self._optimizer.state_dict()["state"]
         return {
             "passed": self.passed,
             "spent": self.spent,
-            "extended": self.extended,
             "over": self.over,
             "curve": self.curve,
-            "best": self._best,
+            "best": self.best,
             "weights": _copy(self.network),
             "best_weights": self._best_weights,
             "moments": {str(i): dict(entry) for i, entry in moments.items()},
@@ -236,9 +234,8 @@ class Training:
         """Put back what `state_dict` gave; raises errors of PyTorch for what does not fit."""
         self.network.load(state["weights"])
         self._best_weights = {k: torch.as_tensor(v) for k, v in state["best_weights"].items()}
-        self.passed, self.spent = state["passed"], state["spent"]
-        self.extended = state["extended"]
-        self.curve, self._best = [list(row) for row in state["curve"]], state["best"]
+        self.passed, self.spent, self._was_over = state["passed"], state["spent"], state["over"]
+        self.curve, self.best = [list(row) for row in state["curve"]], state["best"]
         whole, weights = self._optimizer.state_dict(), list(self.network.parameters())
         whole["state"] = {
             int(i): {name: _like(weights[int(i)], value) for name, value in entry.items()}
@@ -257,80 +254,3 @@ def _like(weight: Tensor, value: Any) -> Tensor:
     """Return a moment in the memory layout of its weight, which the optimizer takes for granted."""
     moment = torch.as_tensor(value)
     return moment if moment.ndim == 0 else torch.empty_like(weight).copy_(moment).detach()
-
-
-# -- checkpoints -----------------------------------------------------------------------------------
-
-
-_KIND = "training"
-_REMEDY = "delete this file, and it is trained again; the renders are kept"
-
-
-@dataclass(frozen=True)
-class Resumable:
-    """A training of `plan`, kept in `file`."""
-
-    file: Path
-    plan: dict[str, Any]
-
-    def run(
-        self, training: Training, on_pass: Callable[[Progress], None], *, over: bool = False
-    ) -> None:
-        """Train from the checkpoint, if it is of this plan, and keep it up to date.
-
-        over: whether a training that was over stays so, also where there is more time now.
-
-        Raises CheckpointError for a damaged file, OSError if it cannot be written.
-        """
-
-        def save(state: dict[str, Any]) -> None:
-            checkpoint.write(self.file, _KIND, {"plan": self.plan, "state": state})
-
-        saved = self._saved()
-        if saved is not None:
-            self._restore(training, saved, over)
-        else:
-            save(training.state_dict())  # the first pass may be interrupted, too
-        training.run(on_pass, save)
-
-    @property
-    def interrupted(self) -> bool:
-        """Whether a training of this very plan has begun and is not over."""
-        saved = self._saved()
-        if saved is None or saved["plan"]["passes"] != self.plan["passes"]:
-            return False
-        state = saved.get("state")
-        return isinstance(state, dict) and not state.get("over", True)
-
-    def _saved(self) -> dict[str, Any] | None:
-        """Contents of the file; None where it is missing, or another plan's of no use here.
-
-        Raises CheckpointError for a damaged file.
-        """
-        if not self.file.exists():
-            return None
-        try:
-            saved = checkpoint.read(self.file, _KIND)
-        except CheckpointError as error:
-            raise CheckpointError(f"{self.file}: damaged, or no training; {_REMEDY}") from error
-        there = saved.get("plan", {})
-        passes = there.get("passes")
-        if not isinstance(passes, int) or passes > self.plan["passes"]:
-            return None
-        return saved if {**there, "passes": self.plan["passes"]} == self.plan else None
-
-    def _restore(self, training: Training, saved: dict[str, Any], over: bool) -> None:
-        passes = saved["plan"]["passes"]
-        try:
-            training.load_state_dict(saved["state"])
-            was_over = saved["state"]["over"]
-            if was_over and over:
-                training.seconds = 0.0
-            longer = self.plan["passes"] > passes
-            training.extended |= was_over and (longer or not training.over)
-        except IMPOSSIBLE as error:
-            if is_out_of_memory(error):
-                raise
-            raise CheckpointError(
-                f"{self.file}: impossible contents ({error!r}); {_REMEDY}"
-            ) from error

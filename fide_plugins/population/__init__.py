@@ -1,7 +1,4 @@
-"""The record of candidates, which FIDE and all baselines keep.
-
-`population` says which were drawn, are pending, were evaluated; `candidate` what one of them is.
-"""
+"""The record of candidates, which FIDE and all baselines keep."""
 
 from __future__ import annotations
 

@@ -14,33 +14,16 @@ from fide_plugins.runtime.devices import stack
 from fide_plugins.runtime.schema import Schema, array, form, maybe, real, saved, values, whole
 from fide_plugins.types import Float64, Solution
 
-__all__ = [
-    "Best",
-    "Candidate",
-    "CandidateRole",
-    "TrainingSample",
-    "columns",
-    "form_of",
-    "in_order",
-    "pack",
-    "unpack",
-]
-
 
 class CandidateRole(IntEnum):
     """What a candidate counts for.
 
-    ======  ====================================  ===========  ===============================
-    role    counts towards a generation           waited for   if it is withdrawn
-    ======  ====================================  ===========  ===============================
-    MEMBER  that in which it is told              yes          a spare one counts in its place
-    SPARE   for members that do not come back     yes          nothing happens
-    STEP    no                                    no           nothing happens
-    ======  ====================================  ===========  ===============================
+    MEMBER: for the generation in which it is told; if it is withdrawn, a spare one does.
+    SPARE: for members that do not come back; it is asked beyond a generation that needs exactly its
+        own candidates, such as a test.
+    STEP: for none, and none waits for it (`proposers.forward`).
 
-    A spare one is asked beyond a generation that needs exactly its own candidates, such as a test.
-    A step comes between two generations (`proposers.forward`).  A point that is told and was not
-    pending is no candidate: it is *injected*.
+    A point that is told and was not pending is no candidate: it is *injected*.
     """
 
     MEMBER = 0
@@ -71,26 +54,24 @@ class Candidate:
     mirrored: bool = False
 
 
-_FLAGS = ("proposed", "off_distribution", "mirrored")
+_COLUMNS = {
+    "index": np.int64, "x": np.float64, "z": np.float64, "role": np.int64,
+    "proposed": np.bool_, "off_distribution": np.bool_, "mirrored": np.bool_,
+}  # fmt: skip
 
 
-def pack(candidates: list[Candidate]) -> dict[str, Any]:
+def pack(candidates: Iterable[Candidate]) -> dict[str, Any]:
     """Arrays of all fields, each (n, ...)."""
-    return {
-        "index": np.array([c.index for c in candidates], np.int64),
-        "x": np.array([c.x for c in candidates]),
-        "z": np.array([c.z for c in candidates]),
-        "role": np.array([c.role for c in candidates], np.int64),
-        **{name: np.array([getattr(c, name) for c in candidates], bool) for name in _FLAGS},
-    }
+    every = list(candidates)
+    return {name: np.array([getattr(c, name) for c in every], t) for name, t in _COLUMNS.items()}
 
 
 def unpack(packed: Mapping[str, Any]) -> list[Candidate]:
     """Candidates that `pack` was given."""
-    roles = [CandidateRole(role) for role in packed["role"].tolist()]
-    flags = [packed[name].tolist() for name in _FLAGS]
-    columns = (packed["index"].tolist(), packed["x"], packed["z"], roles, *flags)
-    return [Candidate(i, x.copy(), z.copy(), *f) for i, x, z, *f in zip(*columns, strict=True)]
+    return [
+        Candidate(int(index), x.copy(), z.copy(), CandidateRole(role), *map(bool, flags))
+        for index, x, z, role, *flags in zip(*(packed[name] for name in _COLUMNS), strict=True)
+    ]
 
 
 def form_of(n: str) -> Schema:
@@ -100,7 +81,7 @@ def form_of(n: str) -> Schema:
         "x": array(n, "d", low=0.0, high=1.0),
         "z": array(n, "d", low=-1e60, high=1e60),
         "role": array(n, kind="i", low=min(CandidateRole), high=max(CandidateRole)),
-        **{name: array(n, kind="b") for name in _FLAGS},
+        **{name: array(n, kind="b") for name, kind in _COLUMNS.items() if kind is np.bool_},
     }
 
 

@@ -1,25 +1,7 @@
 """The record of candidates: which were drawn, which are pending, which were evaluated.
 
 FIDE and all baselines keep one.  A candidate is drawn, handed out and told; users tell in whatever
-order and pieces.
-
-*What counts.*  A `CandidateRole` says what a candidate counts for.  Asking for more than is left of
-a generation draws more members from the same distribution, and any of them complete it.  Those that
-are told after that count in the next one, in which they are `off_distribution`.  Where a generation
-needs exactly its own candidates, for a test, asking for more draws spare ones.  A point that was
-asked before a restart, told twice, or never asked at all is *injected*: it tells about the
-renderer, not about the search distribution.
-
-*When a generation is complete.*  It lacks
-
-    missing = size - members told - min(members withdrawn, spare ones told)
-
-and is complete when that is 0.  If members are lost, that never happens.  So it is complete, too,
-when twice as many spare ones were told as it has members, and twice as many as are still *awaited*:
-pending and not much later than all others.
-
-Members are then sorted in the order in which they were asked, so that the result does not depend
-on the order of telling.
+order and pieces, and the result does not depend on that.
 """
 
 from __future__ import annotations
@@ -36,34 +18,36 @@ from fide_plugins.population.candidate import Candidate, CandidateRole, form_of,
 from fide_plugins.runtime.schema import Schema, array, check, row, whole
 from fide_plugins.types import Float64, Mask
 
-__all__ = ["Population", "mirrored_pair", "search_columns"]
-
 _LOST = 2  # generations' worth of spare candidates told, after which members count as lost
 _MOST_PENDING = 20_000  # candidates; or twice as many as were asked at once, if that is more
 _LATE = 3  # times as late as the latest result of late, from which on no result is expected
 _ZERO = np.float32(0.0)
-_SCHEMA: Schema = {
-    "size": whole(),
-    "drawn": whole(),
-    "generations": whole(),
-    "generation_from": whole(),
-    "withdrawn": whole(),
-    "queue": form_of("queued"),
+_SCHEMA: dict[str, Schema] = {
+    **dict.fromkeys(
+        (
+            "size", "drawn", "generations", "generation_from", "withdrawn", "reserved_from",
+            "most_pending", "newest",
+        ),
+        whole(),
+    ),
     "reserved": array("reserved", "d", low=-1e60, high=1e60),
-    "reserved_from": whole(),
-    "pending": form_of("pending"),
-    "most_pending": whole(),
-    "newest": whole(),
     "delays": row(whole(), whole()),
+    "queue": form_of("queued"),
+    "pending": form_of("pending"),
     "members": form_of("members"),
     "losses": array("members", high=np.inf),
     "spare": form_of("spare"),
     "spare_losses": array("spare", high=np.inf),
-}
+}  # fmt: skip
 
 
 class Population:
     """Candidates drawn, pending and evaluated.
+
+    Asking for more than is left of a generation draws more members, and any of them complete it;
+    those that are told later count in the next one, in which they are `off_distribution`.  A
+    generation is complete when `missing` is 0; or, if members are lost, when twice as many spare
+    ones were told as it has members, and twice as many as are still `awaited`.
 
     size: members of the present generation.
     drawn: candidates ever drawn.
@@ -114,7 +98,7 @@ class Population:
     ) -> None:
         """Queue candidates x (n, d) with their z (n, d) as a generation.
 
-        reserved: samples (m, d), in whose place proposals follow, see `add_proposals`.
+        reserved: samples (m, d), in whose place proposals follow.
         pair: whether the first two are a mirrored pair.
         spare: whether the present generation needs none of x.
         """
@@ -191,19 +175,12 @@ class Population:
 
     @property
     def pending(self) -> int:
-        """Candidates that were handed out and not yet told.
-
-        One that is never told stays here until so many others are pending that memory would grow;
-        after that it counts as injected.  Long before, nothing waits for it, see `awaited`.
-        """
+        """Candidates that were handed out and not yet told; of very many, the latest."""
         return len(self._pending)
 
     @property
     def awaited(self) -> int:
-        """How many of the pending are not much later than all others.
-
-        A lost one never comes.  For steps no generation waits.
-        """
+        """How many of the pending, but for steps, are not much later than all others."""
         oldest = self._newest - _LATE * (self.size + max(self._delays))
         n = 0
         for candidate in reversed(self._pending.values()):  # the last handed out come first
@@ -303,10 +280,7 @@ class Population:
         return [candidate for candidate, _ in ordered], losses
 
     def close_generation(self) -> tuple[list[Candidate], Float64]:
-        """Members of the generation and their losses (n,), see `members`.
-
-        What was drawn for the generation and never handed out is thrown away.
-        """
+        """Members and their losses (n,), see `members`; what was never handed out is dropped."""
         members, losses = self.members()
         self._members, self._spare, self._withdrawn = [], [], 0
         self._queue.clear()
@@ -320,42 +294,43 @@ class Population:
 
     def state_dict(self) -> dict[str, Any]:
         """Everything, as arrays."""
-        return {
-            "size": self.size,
-            "drawn": self.drawn,
-            "generations": self.generations,
-            "generation_from": self._generation_from,
-            "withdrawn": self._withdrawn,
-            "queue": pack(list(self._queue)),
-            "reserved": self.reserved,
-            "reserved_from": self._reserved_from,
-            "pending": pack(sorted(self._pending.values(), key=lambda c: c.index)),
-            "most_pending": self._most_pending,
-            "newest": self._newest,
+        members, losses = zip(*self._members, strict=True) if self._members else ((), ())
+        spare, spare_losses = zip(*self._spare, strict=True) if self._spare else ((), ())
+        found = {
             "delays": list(self._delays),
-            "members": pack([c for c, _ in self._members]),
-            "losses": np.array([loss for _, loss in self._members], np.float64),
-            "spare": pack([c for c, _ in self._spare]),
-            "spare_losses": np.array([loss for _, loss in self._spare], np.float64),
+            "queue": pack(self._queue),
+            "pending": pack(sorted(self._pending.values(), key=lambda c: c.index)),
+            "members": pack(members),
+            "losses": np.array(losses, np.float64),
+            "spare": pack(spare),
+            "spare_losses": np.array(spare_losses, np.float64),
         }
+        plain = [name for name in _SCHEMA if name not in found]
+        return found | {name: getattr(self, _attribute(name)) for name in plain}
 
     @classmethod
     def from_state(cls, state: Mapping[str, Any], dim: int) -> Population:
         """Population of points (dim,) as it was when `state_dict` was taken; ValueError if none."""
         check(state, _SCHEMA, {"d": dim}, "population")
-        population = cls()
-        for name in ("size", "drawn", "generations", "reserved"):
-            setattr(population, name, state[name])
-        for name in ("generation_from", "withdrawn", "reserved_from", "most_pending", "newest"):
-            setattr(population, f"_{name}", state[name])
-        population._queue.extend(unpack(state["queue"]))
+        made = cls()
+        for name, value in state.items():
+            if isinstance(value, int) or name == "reserved":
+                setattr(made, _attribute(name), value)
+        made._queue.extend(unpack(state["queue"]))
         for candidate in unpack(state["pending"]):
-            population._note_pending(candidate)
-        population._delays = (*state["delays"],)
-        members, spare = unpack(state["members"]), unpack(state["spare"])
-        population._members = list(zip(members, state["losses"].tolist(), strict=True))
-        population._spare = list(zip(spare, state["spare_losses"].tolist(), strict=True))
-        return population
+            made._note_pending(candidate)
+        made._delays = (*state["delays"],)
+        made._members = _with_losses(state["members"], state["losses"])
+        made._spare = _with_losses(state["spare"], state["spare_losses"])
+        return made
+
+
+def _attribute(name: str) -> str:
+    return name if name in ("size", "drawn", "generations", "reserved") else f"_{name}"
+
+
+def _with_losses(packed: Mapping[str, Any], losses: Float64) -> list[tuple[Candidate, float]]:
+    return list(zip(unpack(packed), losses.tolist(), strict=True))
 
 
 def search_columns(members: list[Candidate]) -> tuple[Float64, Mask]:

@@ -1,39 +1,26 @@
-"""Proposers: what an image says about where the next candidates should lie.
-
-=================  ==============================================================================
-`base`             what a proposer is
-`linear`           that of the default: the best linear denoiser, conditioned on an image
-`forward`          features regressed on parameters: damped Gauss-Newton steps, in a generation or
-                   between the generations
-`diffusion`        the published one: a network that denoises, trained along with the search
-`image_gate`       whether the image may steer the search, how far, and how many are proposed
-`feature_buffer`   features of the images that a proposer remembers; ridge regression on them
-`screening`        each parameter from the tokens that show it
-=================  ==============================================================================
-"""
+"""Proposers: what an image says about where the next candidates should lie."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 from fide_plugins.encoders.base import PatchEncoder
-from fide_plugins.options import Options, ProposalOptions
+from fide_plugins.options import Options
 from fide_plugins.proposers.base import Proposer
 from fide_plugins.proposers.feature_buffer import MOST, for_jacobian
 from fide_plugins.search.cma_es import are_many
 
 if TYPE_CHECKING:
     from fide_plugins.proposers.forward import ForwardProposer, GaussNewtonSteps
-    from fide_plugins.proposers.linear import LinearProposer
 
 __all__ = ["Proposer", "channel_subsets", "make_proposer", "make_steps"]
 
 _MOST_FOR_JACOBIAN = 100  # parameters; every step costs eigenvectors of as many
 
 
-def channel_subsets(options: ProposalOptions, encoder: PatchEncoder) -> tuple[int | None, ...]:
+def channel_subsets(options: Options, encoder: PatchEncoder) -> tuple[int | None, ...]:
     """Sets of leading channels of the tokens: those of the options, or the encoder's own."""
-    return options.channel_subsets or encoder.channel_subsets
+    return options.proposal.channel_subsets or encoder.channel_subsets
 
 
 def make_proposer(
@@ -53,9 +40,7 @@ def make_proposer(
         return _linear(options, dim, popsize, encoder, learned=learned)
     if options.proposer == "forward":
         return _forward(options, dim, popsize, encoder)
-    if options.has_network:
-        return _diffusion(options, dim, seed, encoder)
-    return None
+    return _diffusion(options, dim, seed, encoder) if options.has_network else None
 
 
 def make_steps(
@@ -76,7 +61,7 @@ def make_steps(
 
 def _linear(
     options: Options, dim: int, popsize: int, encoder: PatchEncoder, *, learned: bool
-) -> LinearProposer:
+) -> Proposer:
     from fide_plugins.proposers.linear import LinearProposer
 
     o = options.proposal
@@ -87,15 +72,8 @@ def _linear(
     return LinearProposer(
         dim,
         capacity=remembered,
-        channel_subsets=channel_subsets(o, encoder),
-        rank_weight_scale=o.rank_weight_scale,
-        ridge=o.ridge,
-        sources=o.sources,
-        step=(o.shortest_step, o.longest_step),
-        noise=o.sample_noise,
-        r2_threshold=o.r2_threshold,
+        channel_subsets=channel_subsets(options, encoder),
         minimum=min(2 * popsize, remembered),
-        select=o.select_tokens,
         screening=wanted and dim > popsize,
     )
 
@@ -103,22 +81,16 @@ def _linear(
 def _forward(options: Options, dim: int, popsize: int, encoder: PatchEncoder) -> ForwardProposer:
     from fide_plugins.proposers.forward import ForwardProposer
 
-    o = options.proposal
-    return ForwardProposer(
-        dim,
-        capacity=for_jacobian(dim),
-        channels=channel_subsets(o, encoder)[0],
-        minimum=popsize,
-        select=o.select_tokens,
-    )
+    channels = channel_subsets(options, encoder)[0]
+    return ForwardProposer(dim, for_jacobian(dim), channels, minimum=popsize)
 
 
 def _diffusion(options: Options, dim: int, seed: int, encoder: PatchEncoder) -> Proposer:
     from fide_plugins.denoiser.sampling import evenly
-    from fide_plugins.proposers.diffusion import BackgroundProposer, DiffusionProposer
+    from fide_plugins.proposers.diffusion import DiffusionProposer
 
     o = options.network
-    network = DiffusionProposer(
+    return DiffusionProposer(
         dim,
         seed=seed,
         device=encoder.device,
@@ -126,8 +98,4 @@ def _diffusion(options: Options, dim: int, seed: int, encoder: PatchEncoder) -> 
         learning_rate=o.learning_rate,
         batch_size=o.batch_size,
         schedule=o.schedule if o.steps is None else evenly(o.steps),
-        precision=o.precision,
-        parameter_tokens=o.parameter_tokens,
     )
-    in_background = options.background_training
-    return BackgroundProposer(network, encoder.device) if in_background else network

@@ -1,17 +1,6 @@
 """The published proposer: a denoiser trained along with the search (Algorithm 1, lines 5 and 8).
 
-`update` trains on the parameters and images of a generation, from the weights of the one before;
-`propose` carries samples of the search distribution towards parameters that would render the
-target.  Nothing here knows the search, the renderer or the loss.
-
-**In the background.** Of a generation, the candidates that the search distribution drew need no
-denoiser. `FIDE` hands them out first, and so a proposer may learn from the last generation while
-they are rendered; only the proposals wait for it.  Training is then free wherever rendering that
-part of a generation takes longer.
-
-`BackgroundProposer` makes this of any proposer that is always ready and whose proposals draw
-nothing from the search's generator: it learns in a thread, and whatever else it is asked waits.
-What comes out is the same, bit for bit, as if each had waited for the other.
+Nothing in this module knows the search, the renderer or the loss.
 """
 
 from __future__ import annotations
@@ -24,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fide_plugins.denoiser.network import ParameterTransformer, autocast, check_precision
+from fide_plugins.denoiser.network import ParameterTransformer, full_precision
 from fide_plugins.denoiser.sampling import euler, x_prediction
 from fide_plugins.denoiser.training import (
     Backup,
@@ -38,8 +27,8 @@ from fide_plugins.denoiser.training import (
 )
 from fide_plugins.errors import OptionError
 from fide_plugins.options import NetworkOptions
-from fide_plugins.proposers.base import Proposer, ProposerDefaults
-from fide_plugins.runtime.devices import BatchSize, on_current_stream, resolve_device
+from fide_plugins.proposers.base import Proposer
+from fide_plugins.runtime.devices import BatchSize, resolve_device
 from fide_plugins.runtime.messages import warn_user
 from fide_plugins.runtime.schema import (
     Schema,
@@ -52,30 +41,23 @@ from fide_plugins.runtime.schema import (
     table,
     whole,
 )
-from fide_plugins.runtime.threads import Background, user_threads
+from fide_plugins.runtime.threads import user_threads
 from fide_plugins.types import Float64
 from fide_plugins.validation.options import check_schedule
-
-__all__ = ["BackgroundProposer", "DiffusionProposer"]
 
 _DEFAULTS = NetworkOptions()
 MOST_PROPOSALS = 4096  # that are denoised together
 
 
-class DiffusionProposer(ProposerDefaults):
+class DiffusionProposer(Proposer):
     """Diffusion in parameter space, conditioned on image features; defaults are the paper's.
 
     Parameters
     ----------
     dim : d, the number of parameters.
     seed : of the weights, the order of the examples and the noise.
-    device : of the network; initial weights are the same on all.  Results are reproducible on a
-        processor, and on CUDA in a small case that was tested; with more than 64 tokens or
-        parameters torch's gradient of attention may add in any order there, unless
-        `torch.use_deterministic_algorithms(True)` says otherwise.
+    device : of the network; initial weights are the same on all.
     epochs, learning_rate, schedule : supplement S1.
-    precision : "float32", or "bfloat16" for products where the device has them; see
-        `denoiser.network`.
     batch_size : the paper names none; 50 makes 200 steps of Adam a generation of k = 500.
     objective, precondition : the parts of `denoiser.training` and `denoiser.sampling`.
     **network : sizes of the `ParameterTransformer`.
@@ -84,11 +66,6 @@ class DiffusionProposer(ProposerDefaults):
     ------
     OptionError
         if a count is below 1, the learning rate is not positive, or a schedule does not fall.
-
-    Notes
-    -----
-    The network is made when the first image tokens show their shape, (T, C).  As in Algorithm 1
-    the first proposals come from an untrained network; `updates` says how often it was trained.
     """
 
     def __init__(
@@ -103,7 +80,6 @@ class DiffusionProposer(ProposerDefaults):
         schedule: Sequence[float] = _DEFAULTS.schedule,
         objective: Objective | None = None,
         precondition: Preconditioner = x_prediction,
-        precision: str = _DEFAULTS.precision,
         **network: Any,
     ) -> None:
         if dim < 1 or epochs < 1 or batch_size < 1:
@@ -115,7 +91,6 @@ class DiffusionProposer(ProposerDefaults):
         self.schedule = check_schedule(schedule)
         self.objective: Objective = objective or XLoss()
         self.precondition = precondition
-        self.precision = check_precision(precision, self.device)
         self.updates = 0
         self._batch = BatchSize(batch_size, "examples of the denoiser's")
         self._proposals = BatchSize(MOST_PROPOSALS, "proposals")
@@ -148,9 +123,8 @@ class DiffusionProposer(ProposerDefaults):
         epochs: int | None = None,
         learning_rate: float | None = None,
     ) -> Tensor:
-        """Train on parameters `x` (n, d) and the tokens (n, T, C) of their images.
+        """Train on parameters `x` (n, d) and the tokens (n, T, C) of their images; no `losses`.
 
-        `losses` of the images play no part.
         `std` (d,) is sqrt(diag Sigma) of the search distribution.
         `epochs`, `learning_rate`: of this training; None: the proposer's own.
 
@@ -164,7 +138,7 @@ class DiffusionProposer(ProposerDefaults):
         network.train()
         before, noise_before = Backup(network, optimizer), self._generator.get_state()
         try:
-            with autocast("float32", self.device):  # gradients
+            with full_precision(self.device):
                 history = fit(
                     network,
                     self.precondition,
@@ -176,7 +150,6 @@ class DiffusionProposer(ProposerDefaults):
                     epochs=self.epochs if epochs is None else epochs,
                     batch_size=self._batch,
                     generator=self._generator,
-                    computing=partial(autocast, self.precision, self.device),
                 )
             diverged = not all_finite(network)
         except BaseException:
@@ -185,17 +158,14 @@ class DiffusionProposer(ProposerDefaults):
             raise
         if diverged:
             before.restore()
-            self._warn_diverged(rate)
+            if not self._warned:
+                self._warned = True
+                warn_user(
+                    f"training of the denoiser diverged with learning_rate={rate:g}; its "
+                    "weights stay as they were: choose a lower one, such as 0.001"
+                )
         self.updates += 1
         return history
-
-    def _warn_diverged(self, rate: float) -> None:
-        if not self._warned:
-            self._warned = True
-            warn_user(
-                f"training of the denoiser diverged with learning_rate={rate:g}; its "
-                "weights stay as they were: choose a lower one, such as 0.001"
-            )
 
     @user_threads
     @torch.no_grad()
@@ -211,18 +181,17 @@ class DiffusionProposer(ProposerDefaults):
     ) -> Float64:
         """Denoise samples `z` (m, d) of the search distribution towards the target's tokens (T, C).
 
-        The sampler needs neither `mean` nor `rng`.  `schedule`: times of its steps, which fall;
-        None: the proposer's own.
+        `schedule`: times of its steps, which fall; None: the proposer's own.
 
         Returns (m, d), finite: where the network overflows, the sample itself.  Values may leave
-        the unit cube, the caller repairs as for its own samples.
+        the unit cube.
         """
         times = self.schedule if schedule is None else schedule
         network, _ = self._parts(*target.shape)
         network.eval()
         noisy, spread = self._tensor(z), self._tensor(std)
         proposed = torch.empty_like(noisy)
-        with autocast(self.precision, self.device):
+        with full_precision(self.device):
             context = network.encode_context(target.to(self.device, torch.float32)[None])
             denoise = self.precondition(partial(network, context=context))
 
@@ -244,25 +213,19 @@ class DiffusionProposer(ProposerDefaults):
         }
         if self._network is None or self._optimizer is None:
             return state
-        image_tokens, channels = self._network.image_tokens, self._network.channels
         weights = {k: v.detach().cpu().clone() for k, v in self._network.state_dict().items()}
-        adam = adam_state(self._optimizer)
         return state | {
-            "image_tokens": image_tokens,
-            "channels": channels,
+            "image_tokens": self._network.image_tokens,
+            "channels": self._network.channels,
             "weights": weights,
-            "adam": adam,
+            "adam": adam_state(self._optimizer),
         }
-
-    def preview(
-        self, x: Float64, tokens: Tensor, losses: Float64, std: Float64
-    ) -> DiffusionProposer:
-        """The proposer as it is: training takes too long for a preview."""
-        return self
 
     @user_threads
     @torch.inference_mode(False)
-    def load_state_dict(self, state: Mapping[str, Any], sides: Sides | None = None) -> None:
+    def load_state_dict(
+        self, state: Mapping[str, Any], sides: Sides | None = None, device: Any = None
+    ) -> None:
         """Continue bit for bit where `state_dict` was taken; numpy arrays serve as tensors.
 
         sides: T and C of the tokens, if they are known.  Raises ValueError if `state` is none.
@@ -321,79 +284,3 @@ def _check(state: Mapping[str, Any], sides: Sides) -> None:
         schema |= {"image_tokens": side("T"), "channels": side("C")}
         schema |= {"weights": table(numbers), "adam": table(moments)}
     check(state, schema, dict(sides), "proposer")
-
-
-class BackgroundProposer(ProposerDefaults):
-    """A proposer that learns in the background, on the device and its stream that are in use.
-
-    What training raises is raised by whatever waits for it next: `propose`, the next `update`,
-    which begins all the same, or saving.
-    """
-
-    background = True
-
-    def __init__(self, proposer: Proposer, device: torch.device | str = "cpu") -> None:
-        self._proposer, self._device = proposer, torch.device(device)
-        self._training = Background()
-
-    @property
-    def ready(self) -> bool:
-        """Whether it can be asked."""
-        return self._proposer.ready
-
-    @property
-    def busy(self) -> bool:
-        """Whether it learns right now."""
-        return self._training.busy
-
-    def update(self, x: Float64, tokens: Tensor, losses: Float64, std: Float64) -> None:
-        """Begin to learn; see `Proposer`. The caller must not change the arrays any more."""
-        with user_threads:
-            threads, here = torch.get_num_threads(), on_current_stream(self._device)
-
-        def train() -> None:
-            torch.set_num_threads(threads)  # sums are the same in as many threads
-            with here():
-                self._proposer.update(x, tokens, losses, std)
-
-        self._training.start(train, "training of the denoiser")
-
-    def propose(
-        self,
-        z: Float64,
-        target: Tensor,
-        mean: Float64,
-        std: Float64,
-        rng: np.random.Generator,
-    ) -> Float64:
-        """Candidates, when all is learned; see `Proposer`."""
-        self._training.wait()
-        return self._proposer.propose(z, target, mean, std, rng)
-
-    def forget(self) -> None:
-        """Another search begins; raises nothing of training's."""
-        self._training.join()
-        self._proposer.forget()
-
-    def state_dict(self) -> dict[str, Any]:
-        """Everything that `update` changes, when it has."""
-        self._training.wait()
-        return self._proposer.state_dict()
-
-    def load_state_dict(self, state: Mapping[str, Any], sides: Sides | None = None) -> None:
-        """Put back what `state_dict` gave."""
-        self._training.wait()
-        self._proposer.load_state_dict(state, sides)
-
-    def preview(self, x: Float64, tokens: Tensor, losses: Float64, std: Float64) -> Proposer:
-        """The proposer as it is: training takes too long for a preview."""
-        return self
-
-    def __getstate__(self) -> dict[str, Any]:
-        """For copies, which have no thread."""
-        self._training.wait()
-        return {"_proposer": self._proposer, "_device": self._device}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self._proposer, self._device = state["_proposer"], state["_device"]
-        self._training = Background()

@@ -1,36 +1,7 @@
 """Features of the images that a proposer remembers, and ridge regression by their products.
 
-A buffer holds one subset of the channels, of the tokens that vary.
-
-Notation
---------
-=======  ==============  ===================================================================
-symbol   shape           meaning
-=======  ==============  ===================================================================
-e        (n, T, C)       features of the images that are remembered
-o        (T, C)          an origin; products of deviations from it lose few digits
-G        (n, n)          (e - o) (e - o)^T, over tokens and channels
-=======  ==============  ===================================================================
-
-**Token selection.**  A patch that shows the same in every image that is remembered adds the same
-number to all entries of G, and to all products with the target, whatever the target shows there;
-the regression, which looks at differences, sees nothing of it.  So such tokens are left out: the
-background of a robot, or what a search that has narrowed down no longer moves.  Left out are as
-many tokens, those that vary least, as hold a share `NEGLIGIBLE` of the variance together, which
-changes no product by more than the root of that share.
-
-The choice follows the images.  A token that was left out was, up to that share, at its origin in
-every image that is remembered; so it comes back with the first image in which it has moved, with
-zeros for the older ones, and nothing was lost.
-
-**Ridge regression** of u (n, d) on features needs their scalar products G (n, n) alone; p is the
-penalty.  The coefficients (G + p)^-1 u predict of features with the products g the
-values g^T (G + p)^-1 u.  The residuals are p (G + p)^-1 u, and the leverages, how much of its own
-prediction each example makes, are the diagonal of G (G + p)^-1 = 1 - p (G + p)^-1 (Allen 1974).
-
-(G + p)^-1 by Cholesky takes a fifth of the time of the eigenvalues of G (0.05 and 0.25 ms for 60
-examples, 0.23 and 1.2 ms for 120; one core of an AMD EPYC).  Those are for penalties so small that
-G + p may be singular.
+Notation: e (n, T, C), features; o (T, C), an origin, since products of deviations lose few digits;
+G (n, n) = (e - o) (e - o)^T, over tokens and channels.
 """
 
 from __future__ import annotations
@@ -45,27 +16,11 @@ from torch import Tensor
 from fide_plugins.runtime.schema import Schema, Sides, Stateful, array, check, whole
 from fide_plugins.types import Float64, Indices, Mask
 
-__all__ = [
-    "MOST",
-    "NEGLIGIBLE",
-    "FeatureBuffer",
-    "Ridge",
-    "explained",
-    "for_jacobian",
-    "ridge",
-    "ridges",
-]
-
-MOST = 600
-"""Candidates: each generation costs a regression on as many."""
+MOST = 600  # candidates: each generation costs a regression on as many
 
 
 def for_jacobian(dim: int) -> int:
-    """Candidates to which a Jacobian of d parameters is fitted: 4 d + 20, at most `MOST`.
-
-    >>> for_jacobian(8), for_jacobian(200)
-    (52, 600)
-    """
+    """Candidates to which a Jacobian of d parameters is fitted: 4 d + 20, at most `MOST`."""
     return min(4 * dim + 20, MOST)
 
 
@@ -75,6 +30,11 @@ _FEW = 8  # leaving out fewer than one in so many is not worth the copy
 
 class FeatureBuffer(Stateful):
     """One channel subset: features of the images that are remembered, and their products.
+
+    A token that is the same in every image says nothing, whatever the target shows there.  So as
+    many tokens are left out, those that vary least, as hold a share `NEGLIGIBLE` of the variance
+    together.  Such a token was at its origin in every image, up to that share; so it comes back
+    with the first image in which it has moved, with zeros for the older ones, and nothing was lost.
 
     channels: so many leading ones; None: all.
     select: leave out tokens that do not vary.
@@ -201,7 +161,9 @@ class FeatureBuffer(Stateful):
         """(n, f) -> (n, tokens in use, C)."""
         return features.reshape(len(features), self.tokens, self.origin.shape[1])
 
-    def load_state_dict(self, state: Mapping[str, Any], sides: Sides | None = None) -> None:
+    def load_state_dict(
+        self, state: Mapping[str, Any], sides: Sides | None = None, device: Any = None
+    ) -> None:
         """Put back what `state_dict` gave; ValueError if it is none.
 
         sides: n, and T, the number of tokens, if that is known.
@@ -218,8 +180,7 @@ class FeatureBuffer(Stateful):
 
 def _rows(features: Float64) -> Float64:
     """(n, tokens, C) -> (n, f); also where there are none."""
-    n, tokens, channels = features.shape
-    return features.reshape(n, tokens * channels)
+    return features.reshape(len(features), features.shape[1] * features.shape[2])
 
 
 def _energy(deviations: Float64) -> Float64:
@@ -244,10 +205,7 @@ _SAFE = 1e-4  # smallest penalty for the inverse; then G + p is conditioned well
 
 
 class Ridge(NamedTuple):
-    """Coefficients (n, d); residuals (n, d) and leverages (n,) of the examples.
-
-    Leverages are (n, d) where each column has its own features, see `ridges`.
-    """
+    """Coefficients (n, d); residuals (n, d) and leverages (n,), by `ridges` (n, d)."""
 
     coefficients: Float64
     residuals: Float64
@@ -256,6 +214,10 @@ class Ridge(NamedTuple):
 
 def ridge(gram: Float64, u: Float64, penalty: float, rounding: float) -> Ridge:
     """Regress u (n, d) on features with the scalar products `gram` (n, n).
+
+    The coefficients are (G + p)^-1 u, the residuals p (G + p)^-1 u, and the leverages the diagonal
+    of 1 - p (G + p)^-1 (Allen 1974): by Cholesky, which takes a fifth of the time of eigenvalues,
+    unless the penalty is so small that G + p may be singular.
 
     penalty: p, in units of the trace of `gram` over min(n, 64); rounding: added to it.
     """

@@ -1,30 +1,4 @@
-"""Whether the image may steer the search, how far, and how many candidates are proposed.
-
-Proposals go where features come nearer to the target's, and moves take the picture for one of
-several things.  Both pay where a nearer image has a lower loss.  They cost where it has not:
-images that are noise, that never change, that belong to other candidates, a target that has nothing
-to do with the losses.  So three questions are asked of what was evaluated.
-
-**Do images agree with losses?**  Spearman's rank correlation of losses with distances in features,
-
-    rho = corr(rank of loss_i, rank of |e_i - e*|),
-
-where equal values share their mean rank.  If images said nothing of losses, every order of theirs
-would be equally likely, and rho of n candidates would have mean 0 and variance 1 / (n - 1),
-whatever images and losses are (Kendall 1948, "Rank Correlation Methods", sec. 5.8).  Over the
-generations j, older ones counting less by c_j,
-
-    sum_j c_j n_j rho_j / sqrt(sum_j c_j^2 n_j^2 / (n_j - 1))
-
-would then be a number of about standard normal law.  Images that agree lift it beyond 3 in the
-first two generations, and beyond 10 by the tenth.
-
-**How much do they agree of late?**  The first question asks for *some* agreement, and misleading
-images can have some: a target of something else has a side that is nearer, too.  So the mean of
-rho_j over the last generations, the newest counting most, says how far images are followed.
-
-**How do proposals rank?**  Where they rank before samples, more of a generation is proposed.
-"""
+"""Whether the image may steer the search, how far, and how many candidates are proposed."""
 
 from __future__ import annotations
 
@@ -38,17 +12,23 @@ from fide_plugins.options import Options
 from fide_plugins.runtime.schema import Schema, Stateful, real, whole
 from fide_plugins.types import Float64, Mask
 
-__all__ = ["ImageGate", "adapt_fraction", "rank_correlation"]
-
 _MEMORY = 400  # candidates after which a generation counts for 1/e
 _SURE = 3.0  # standard deviations
 _SHORT_MEMORY = 100  # candidates, of how much the last generations agree
 _ENOUGH = 20  # generations, before images may end a search
-_LITTLE, _MUCH = 0.2, 0.4  # mean rho; measured, see `lab/reports/extremes.md`
+_SMALLEST, _LARGEST = 0.05, 0.8  # proposed fraction; from 0 it could not recover
+_LITTLE, _MUCH = 0.2, 0.4  # mean rho; measured
 
 
 class ImageGate(Stateful):
     """How far images steer the search, judged by what was evaluated.
+
+    Spearman's rank correlation rho of losses with distances in features is computed for each
+    generation.  If images said nothing, it would have mean 0 and variance 1 / (n - 1) (Kendall
+    1948), and the sum of n rho over the generations, older ones counting less, would be about
+    normal: images that agree lift it beyond 3 standard deviations in the first two generations.
+    Misleading images can agree a little, too, so the mean of rho over the last generations says how
+    far images are followed.
 
     options: `guard_images`, and `proposal_fraction` with its limits.
     channel_subsets: leading channels of the tokens in which distances are measured, the mean
@@ -145,15 +125,7 @@ class ImageGate(Stateful):
         """Note how proposed candidates (k,) of a generation rank, by all its losses (k,)."""
         o = self._options
         if o.fraction_rate:
-            limits = {"smallest": o.smallest_fraction, "largest": o.largest_fraction}
-            rate = o.fraction_rate
-            self.fraction = adapt_fraction(self.fraction, losses, proposed, rate=rate, **limits)
-
-
-def rank_correlation(a: Float64, b: Float64) -> float:
-    """Spearman's, of a (n,) and b (n,), in [-1, 1]; 0 where one of them is constant."""
-    # written out: importing scipy.stats takes most of a second, and nothing else here needs it
-    return _correlation(_ranks(a), _ranks(b))
+            self.fraction = adapt_fraction(self.fraction, losses, proposed, o.fraction_rate)
 
 
 def _correlation(u: Float64, v: Float64) -> float:
@@ -169,21 +141,12 @@ def _ranks(values: Float64) -> Float64:
     return mean[inverse]
 
 
-def adapt_fraction(
-    fraction: float,
-    losses: Float64,
-    proposed: Mask,
-    *,
-    smallest: float,
-    largest: float,
-    rate: float,
-) -> float:
+def adapt_fraction(fraction: float, losses: Float64, proposed: Mask, rate: float) -> float:
     """Raise `fraction` where proposals rank before samples, lower it where they rank behind.
 
     losses: (k,) of one generation; proposed: (k,), which of them a proposer made.
     The change is `rate` times the difference of the mean ranks, in units of k / 2; a generation of
-    one kind only says nothing.  Losses that are not finite are tied for the last ranks.  The
-    fraction stays within [smallest, largest]; from 0 it could not recover.
+    one kind only says nothing.  Losses that are not finite are tied for the last ranks.
     """
     if proposed.all() or not proposed.any():
         return fraction
@@ -194,4 +157,4 @@ def adapt_fraction(
     if failed.any():
         ranks[failed] = ranks[failed].mean()  # all behind the others, and none before another
     lead = (ranks[~proposed].mean() - ranks[proposed].mean()) / (len(losses) / 2)
-    return float(np.clip(fraction + rate * lead, smallest, largest))
+    return float(np.clip(fraction + rate * lead, _SMALLEST, _LARGEST))

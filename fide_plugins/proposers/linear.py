@@ -1,60 +1,21 @@
 """The closed-form proposer: the best linear denoiser, conditioned on a source and on the target.
 
-Notation
---------
-=======  ======  ================================================================================
-symbol   shape   meaning
-=======  ======  ================================================================================
-u        (n, d)  parameters of the buffer, in units of std = sqrt(diag Sigma)
-e        (n, f)  features of their images, flattened
-w        (n,)    weights, falling with the rank of the loss; they sum to 1
-z, m             a sample of the search distribution and its mean
-u_c e_c          deviations from the weighted means, times sqrt(w)
-G        (n, n)  e e^T, all scalar products of features
-K        (f, d)  ridge regression of parameters on features
-=======  ======  ================================================================================
-
-For (u, e) jointly Gaussian, the best prediction of the parameters of an image e* from a noisy u is
-linear, and when the noise is so loud that u says nothing it is E[u | e*] = mean + (e* - mean) K.
-The published denoiser starts from a sample of the search distribution; this one starts from an
-evaluated candidate, the *source* i, whose parameters and image are both known, and corrects it by
-what is wrong with its own image:
-
-    x_new = x_i + a * std * (e* - e_i) K + r * (z - m),   a ~ U(step), r ~ U(0, noise).
-
-That is the linear denoiser trained on all ordered pairs of the buffer (source i, image e_j, answer
-x_j), in closed form: the differences u_j - u_i and e_j - e_i have twice the covariances of u and e,
-and the same regression.  Only part of the way is asked for, a random part, because the target lies
-outside of what the buffer has seen; and a part of the deviation of the sample z is kept (partial
-denoising), so that proposals do not fall on one point.
-
-Not every image tells its parameters: glass beads hide one another, noise drowns small changes, and
-with more parameters than candidates some directions were never tried.  What the regression knows
-of a parameter is measured by its prediction of candidates that it was not fitted to, R^2 of the
-leave-one-out residuals (Allen 1974, PRESS).  Where that is nothing, the parameter of the proposal
-is that of the sample z: proposals around the best candidates would rank before samples there too,
-for being near what is known to be good, and the search would narrow before it has searched.
-
-The weights say how local the fit is: a fit that counts all candidates alike is true on average over
-the distribution, one that counts only the best is true near the target, and greedy.
-`lab/reports/ablation.md` has the measurements.
-
-Everything is computed from G, in n dimensions: an image costs n scalar products once, a generation
-one system of n equations for each channel subset (`ridge`), for any number of features.
+u (n, d) are parameters of the buffer in units of std, e (n, f) features of their images, w (n,)
+weights that fall with the rank of the loss, and K (f, d) the ridge regression of u on e.
 """
 
 from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from fide_plugins.options import ProposalOptions
-from fide_plugins.proposers.base import Previewed, ProposerDefaults
+from fide_plugins.proposers.base import Proposer
 from fide_plugins.proposers.feature_buffer import FeatureBuffer, explained, ridge
 from fide_plugins.runtime.schema import Schema, Sides, anything, array, check, each, flag
 from fide_plugins.types import Float64, Indices
@@ -62,9 +23,7 @@ from fide_plugins.types import Float64, Indices
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
 
-__all__ = ["LinearProposer"]
 
-_DEFAULTS = ProposalOptions()
 _SCHEMA: Schema = {
     "x": array("n", "d"),
     "losses": array("n"),
@@ -78,22 +37,31 @@ _MOST_BYTES = 2**28  # of features in one buffer
 
 
 class _Regression(NamedTuple):
-    """Of parameters on features."""
+    """Weights (n,); coefficients (n, d): parameters for each scalar product with a candidate.
+
+    explained: (d,), leave-one-out R^2, at most 1, below 0 where the mean predicts better.
+    slopes: (f, d), what features say beyond their products, see `proposers.screening`.
+    """
 
     w: Float64
-    """(n,)"""
     coefficients: Float64
-    """(n, d): parameters, in units of std, for each scalar product with a candidate."""
     explained: Float64
-    """(d,): leave-one-out R^2, at most 1, below 0 where the mean predicts better."""
     slopes: csc_array | None = None
-    """(f, d): what features say beyond their products, see `proposers.screening`."""
 
 
-class LinearProposer(Previewed, ProposerDefaults):
+@dataclass(eq=False)
+class LinearProposer(Proposer):
     """Ridge regression from features to parameters, weighted by rank.
 
-    Defaults are those of `ProposalOptions`.
+    Each proposal starts from an evaluated candidate, the *source* i, and corrects it by what is
+    wrong with its own image; a part of the deviation of the sample z is kept:
+
+        x_new = x_i + a * std * (e* - e_i) K + r * (z - m),   a ~ U(step), r ~ U(0, noise).
+
+    That is the best linear denoiser of all ordered pairs of the buffer (source i, image e_j, answer
+    x_j).  Where the regression predicts nothing of a parameter, by its leave-one-out residuals
+    (Allen 1974, PRESS), the proposal has that of z: around the best candidates proposals would rank
+    first all the same, and the search would narrow before it has searched.
 
     Parameters
     ----------
@@ -113,34 +81,26 @@ class LinearProposer(Previewed, ProposerDefaults):
         not fewer than 2.
     select : whether tokens that do not vary are left out, see `proposers.feature_buffer`.
     screening : whether a parameter may be predicted from the tokens that show it alone, see
-        `proposers.screening`.  It is saved with the buffer: a search that is loaded goes on so.
+        `proposers.screening`.
     """
 
-    def __init__(
-        self,
-        dim: int,
-        *,
-        capacity: int,
-        channel_subsets: tuple[int | None, ...] = (None,),
-        rank_weight_scale: float = _DEFAULTS.rank_weight_scale,
-        ridge: float = _DEFAULTS.ridge,
-        sources: int = _DEFAULTS.sources,
-        step: tuple[float, float] = (_DEFAULTS.shortest_step, _DEFAULTS.longest_step),
-        noise: float = _DEFAULTS.sample_noise,
-        r2_threshold: float = _DEFAULTS.r2_threshold,
-        minimum: int = 2,
-        select: bool = _DEFAULTS.select_tokens,
-        screening: bool = False,
-    ) -> None:
-        self.dim, self.capacity, self.minimum = dim, capacity, minimum
-        self.channel_subsets, self.select = channel_subsets, select
-        self.screening = screening
-        self.rank_weight_scale, self.ridge = rank_weight_scale, ridge
-        self.sources, self.step, self.noise = sources, step, noise
-        self.r2_threshold = r2_threshold
-        self.forget()
+    dim: int
+    capacity: int
+    channel_subsets: tuple[int | None, ...] = (None,)
+    rank_weight_scale: float = 0.5
+    ridge: float = 0.02
+    sources: int = 5
+    step: tuple[float, float] = (0.3, 1.2)
+    noise: float = 0.5
+    r2_threshold: float = 0.05
+    minimum: int = 2
+    select: bool = True
+    screening: bool = False
 
     lazy = True
+
+    def __post_init__(self) -> None:
+        self.forget()
 
     def forget(self) -> None:
         """Begin with an empty buffer: the ranks of another search say nothing about this one."""
@@ -163,27 +123,24 @@ class LinearProposer(Previewed, ProposerDefaults):
         affordable = max(self.minimum, _MOST_BYTES // (8 * tokens[0].numel()))
         n = min(self.capacity, affordable)
         if len(x) > n:
-            kept = _of_every_rank(losses, n)
+            by_rank = np.argsort(losses, kind="stable")
+            kept = np.sort(by_rank[np.linspace(0, len(losses) - 1, n).round().astype(np.intp)])
             x, tokens, losses = x[kept], tokens[torch.from_numpy(kept)], losses[kept]
+        self._buffers = [copy.copy(buffer) for buffer in self._buffers]  # those of a copy stay
         for buffer in self._buffers:
             buffer.add(tokens, n)
         self._x = np.concatenate([self._x, x])[-n:]
         self._losses = np.concatenate([self._losses, losses])[-n:]
 
     def propose(
-        self,
-        z: Float64,
-        target: Tensor,
-        mean: Float64,
-        std: Float64,
-        rng: np.random.Generator,
+        self, z: Float64, target: Tensor, mean: Float64, std: Float64, rng: np.random.Generator
     ) -> Float64:
         """Correct some of the best candidates of the buffer towards the target's tokens (T, C).
 
         z: (m, d), samples of the search distribution, whose mean and sqrt(diag Sigma) are mean and
         std, (d,) each.  Returns (m, d); values may leave the unit cube.
         """
-        ranks = _ranks(self._losses)
+        ranks = np.argsort(np.argsort(self._losses, kind="stable"), kind="stable")
         best = np.argsort(ranks)[: self.sources]
         sources = best[rng.integers(len(best), size=len(z))]
         used = rng.integers(len(self._buffers), size=len(z))
@@ -208,7 +165,8 @@ class LinearProposer(Previewed, ProposerDefaults):
     def _regress(self, buffer: FeatureBuffer, ranks: Indices, std: Float64) -> _Regression:
         """Parameters on the features of a buffer; stable when the buffer has collapsed."""
         n = len(ranks)
-        w = _rank_weights(ranks, self.rank_weight_scale * n)
+        w = np.exp(-ranks / max(self.rank_weight_scale * n, _SMALLEST_SCALE))
+        w = w / w.sum()
         root = np.sqrt(w)
         u = self._x / np.maximum(std, _TINY)
         u = (u - w @ u) * root[:, None]
@@ -237,24 +195,16 @@ class LinearProposer(Previewed, ProposerDefaults):
             return np.ones(self.dim)
         return np.clip(fit.explained, 0.0, self.r2_threshold) / self.r2_threshold
 
-    def copy(self) -> Self:
-        """Another with the same buffer, which can be updated without this one."""
-        other = copy.copy(self)  # arrays are replaced, never written to
-        other._buffers = [copy.copy(buffer) for buffer in self._buffers]
-        other._fits = dict(self._fits)
-        return other
-
     def state_dict(self) -> dict[str, Any]:
         """The buffer."""
         buffers = [buffer.state_dict() for buffer in self._buffers]
         found = {"x": self._x, "losses": self._losses, "screening": self.screening}
         return found | {"buffers": buffers}
 
-    def load_state_dict(self, state: Mapping[str, Any], sides: Sides | None = None) -> None:
-        """Put back what `state_dict` gave; ValueError if it is none.
-
-        sides: T of the tokens, if that is known.
-        """
+    def load_state_dict(
+        self, state: Mapping[str, Any], sides: Sides | None = None, device: Any = None
+    ) -> None:
+        """Put back what `state_dict` gave; ValueError if it is none."""
         self._fits = {}
         own = {"d": self.dim}
         check(state, _SCHEMA, own, "proposer")
@@ -275,19 +225,3 @@ def _correct(buffer: FeatureBuffer, fit: _Regression, sources: Indices, target: 
     missing = np.array([buffer.missing(target, int(i)) for i in distinct])
     local: Float64 = missing @ fit.slopes
     return corrections + local[which]
-
-
-def _ranks(losses: Float64) -> Indices:
-    return np.argsort(np.argsort(losses, kind="stable"), kind="stable")
-
-
-def _of_every_rank(losses: Float64, n: int) -> Indices:
-    """Indices, rising, of n candidates of (m,), m > n, evenly by rank; the best is one of them."""
-    by_rank = np.argsort(losses, kind="stable")
-    return np.sort(by_rank[np.linspace(0, len(losses) - 1, n).round().astype(np.intp)])
-
-
-def _rank_weights(ranks: Indices, scale: float) -> Float64:
-    w = np.exp(-ranks / max(scale, _SMALLEST_SCALE))
-    weights: Float64 = w / w.sum()
-    return weights

@@ -1,31 +1,7 @@
 """Each parameter from the tokens that show it: local regressions beside the one of all tokens.
 
-Most parameters change a part of the image.  A regression on all tokens must first learn which, and
-until it has seen more candidates than there are parameters, what the others change is noise to it.
-So tokens are *screened* (Fan & Lv 2008, doi:10.1111/j.1467-9868.2008.00674.x): by how much of
-each token a parameter explains on its own.
-
-Notation
---------
-=======  =========  ==============================================================================
-symbol   shape      meaning
-=======  =========  ==============================================================================
-e        (n, T, C)  features of n candidates, deviations from their weighted mean, times sqrt(w)
-u        (n, d)     their parameters, likewise
-s        (d, T)     |u_p . e_t|^2 / (|u_p|^2 |e_t|^2), the share of token t that p explains
-v        (d, T)     weights of tokens, s beyond what chance alone explains, the largest 1
-G_p      (n, n)     sum_t (v_pt + floor) e_t e_t^T
-=======  =========  ==============================================================================
-
-Parameter p is regressed with the scalar products G_p in place of those of all tokens alike.  The
-floor leaves a little of these, so that nothing is lost where screening finds nothing.  Of a scene
-whose parameters change the whole image, the regression on all tokens is the better one: each
-parameter takes the one that predicts it better, by its leave-one-out residuals.  Screening
-has seen the candidate that is left out, which flatters the local regression: on Voronoi-8 by 0.1 of
-R^2 for 20 candidates, and by 0.03 for 60.
-
-Where there are no more parameters than candidates in a generation, all tokens tell them apart as
-soon; and with very many parameters or channels d regressions would take too long (`affordable`).
+e (n, T, C) and u (n, d) are features and parameters of n candidates, deviations from their weighted
+means, times sqrt(w).
 """
 
 from __future__ import annotations
@@ -38,8 +14,6 @@ from scipy.sparse import csc_array
 from fide_plugins.proposers.feature_buffer import explained, ridges
 from fide_plugins.types import Float64
 
-__all__ = ["Local", "affordable", "local_regressions"]
-
 _FLOOR = 0.003  # weight of a token that shows nothing
 _MOST_WORK = 1e9  # multiplications: tens of milliseconds
 _CHANCE = 2.0  # times the share that chance explains
@@ -48,14 +22,16 @@ _TINY = 1e-300
 
 
 class Local(NamedTuple):
-    """Regressions of single parameters."""
+    """Regressions of single parameters.
+
+    explained: (d,), leave-one-out R^2 of the better one, local or of all tokens.
+    coefficients: (n, d), of the scalar products of all tokens alike.
+    slopes: (T * C, d), parameters, in units of u, for each feature; added to the former.
+    """
 
     explained: Float64
-    """(d,): leave-one-out R^2 of the better one, local or of all tokens."""
     coefficients: Float64
-    """(n, d): of the scalar products of all tokens alike."""
     slopes: csc_array
-    """(T * C, d): parameters, in units of u, for each feature; added to the former."""
 
 
 def affordable(n: int, d: int, channels: int) -> bool:
@@ -73,7 +49,11 @@ def local_regressions(
     rounding: float,
     all_tokens: tuple[Float64, Float64],
 ) -> Local:
-    """Regress each parameter on the tokens that show it.
+    """Regress each parameter p on the tokens that show it (Fan & Lv 2008, sure screening).
+
+    Its scalar products are G_p = sum_t (v_pt + floor) e_t e_t^T, with the weights of
+    `token_weights`; the floor keeps a little of all tokens.  Each parameter takes the regression
+    that predicts it better, this one or that on all tokens, by its leave-one-out residuals.
 
     e: (n, T * C) and u: (n, d), weighted deviations, see above; w: (n,), the weights.
     tokens: T, above 0.  gram: (n, n), e e^T.  penalty, rounding: see `ridge`.
@@ -107,7 +87,10 @@ def local_regressions(
 
 
 def token_weights(e: Float64, tokens: int, u: Float64, w: Float64) -> Float64:
-    """Weights v (d, T) of tokens for each parameter; see above for e, u and w."""
+    """Weights v (d, T) of tokens for each parameter, the largest 1.
+
+    The share of a token that the parameter explains alone, beyond what chance explains.
+    """
     n, d = u.shape
     u = u / np.maximum(np.abs(u).max(axis=0), _TINY)  # squares would overflow
     products = np.square(u.T @ e).reshape(d, tokens, -1).sum(axis=2)

@@ -1,23 +1,4 @@
-"""The run directory: its files, and how they stay consistent.
-
-    run.json       settings, versions, machine, seeds, command, totals, state, limits; at the end
-                   also the checksums of the two tables
-    curve.csv      one line for each evaluation
-    improvements.csv   one line for each evaluation that was the best so far, with other metrics
-    best.png       the best image so far
-    best.tif, target.tif   the same as floats, where a range of values was given
-    target.png     the picture to find
-    target.ckpt    the same to the last bit, of a run by itself
-    reference.png  the image that judged the best candidate of a noisy task
-    summary.png    target, first render, best image, curve
-    before-N/      results of a call that ended before there was a run.ckpt; another began again
-    run.ckpt       state of the loop; names the file of its optimizer
-    optimizer-N-M.ckpt   the optimizer after N evaluations, with M candidates pending; -N-M-F after
-                   F renders that gave no image
-    .run.lock      locked, and there, while a process works on the run
-
-Each file is replaced atomically.
-"""
+"""The run directory, as a run writes it: each file atomically (docs/reference/files.md)."""
 
 from __future__ import annotations
 
@@ -29,7 +10,6 @@ import shlex
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from fnmatch import fnmatchcase
-from itertools import count
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -37,8 +17,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from fide_plugins.errors import CheckpointError, DependencyError
-from fide_plugins.recording import sources as sources_module
 from fide_plugins.recording.record import WORKERS, Record, RunResult, best_so_far, rounds
+from fide_plugins.recording.sources import versions_with
 from fide_plugins.recording.storage import (
     CHECKPOINT,
     FORMAT,
@@ -88,14 +68,9 @@ class CheckpointTimer:
         self._written_at, self._writing_took = perf_counter(), 0.0
 
     def due(self, optimizer: Optimizer) -> bool:
-        """Whether the last checkpoint is old enough, in seconds and in times of writing one.
-
-        Not while the optimizer trains, for saving would wait, unless one is always due.
-        """
+        """Whether the last checkpoint is old enough, in seconds and in times of writing one."""
         if self.every <= 0:
             return True
-        if optimizer.training:
-            return False
         since = perf_counter() - self._written_at
         return since >= max(self.every, _INTERVAL * self._writing_took)
 
@@ -134,16 +109,13 @@ def try_each(*writes: Callable[[], object]) -> None:
 class RunDirectory:
     """Directory of one run; made and checked before anything is rendered.
 
-    It is locked until `close`, or until the process ends: two that write would overwrite each
-    other's results.  Who only reads takes no lock.
+    It is locked until `close`, or until the process ends.  Who only reads takes no lock.
 
-    path: folder, made if it is missing.
-    settings: settings that define the run; a folder with other settings is refused.
+    settings: that define the run; a folder with other ones is refused.
     resume: whether an existing run may be continued.
-    command: command line to record.
-    limits: when the run stops, where that is no setting: to be recorded, and changed by resuming.
+    limits: when the run stops, where that is no setting.
     may_change: names of settings that may be others when the run is resumed.
-    facts: what else is known at the first call, recorded once: `facts` has what is recorded.
+    facts: what else is known at the first call, recorded once.
     sources: fingerprints of the user's files, see `sources.of_files`; warns of one that is edited.
 
     Raises RunDirectoryError (a FileExistsError), also if there are results without a `run.json`,
@@ -177,22 +149,20 @@ class RunDirectory:
             }
             before, begun = read_run(self.path), is_saved(self.path)
             if before is None:
-                self._check_no_other_files()
+                if there := results_in(self.path):
+                    raise RunDirectoryError(
+                        f"{self.path} has no run.json, but {', '.join(there)}, which a run may "
+                        "overwrite; name another directory, or move that away; if it was a run, "
+                        "copy its run.json back to go on with it"
+                    )
             else:
-                there, given = before["settings"], self.settings
-                if resume and begun:
-                    self.settings = sources_module.with_model_there(there, given)
-                self._check(there, resume, may_change)
-                if begun:
-                    sources_module.warn_of_model(given, before, sources or {}, self.path)
+                self._check(before["settings"], resume, may_change)
                 self._run = {**before, "settings": self.settings, "state": "running"}
                 self._run["resumed"] = [*before.get("resumed", []), now()]
             if limits is not None:
                 self._run["limits"] = limits
             if sources:
-                self._run["sources"] = sources_module.versions_with(
-                    sources, before, self.path, begun=begun
-                )
+                self._run["sources"] = versions_with(sources, before, self.path, begun=begun)
             files.remove_leftovers(self.path, mine=is_of_a_run)  # not what others write there
             self._lock = lock.pop_all()
 
@@ -213,11 +183,15 @@ class RunDirectory:
 
         load: makes the optimizer of its file.
 
-        A run that ended before there was a state, as on a full disk, begins again; its results
-        are moved into a folder of their own.
+        Raises CheckpointError where results are there without a state, as after a full disk.
         """
         if not is_saved(self.path):
-            self._move_results_away()
+            table = self.path / TABLES[0]
+            if self._run["resumed"] and table.exists() and table.read_bytes().count(b"\n") > 1:
+                raise CheckpointError(
+                    f"{self.path} holds results, but no {CHECKPOINT}, from which the run could go "
+                    "on: copy it back, or start again in another directory"
+                )
             return None
         record, file = read_record(self.path, self.settings["dim"], self.settings["size"])
         try:
@@ -229,36 +203,6 @@ class RunDirectory:
                 f"{file}: this file of the optimizer, which {CHECKPOINT} names, is missing; copy "
                 "it back, or start again in another directory"
             ) from error
-
-    def _move_results_away(self) -> None:
-        """Move results that no state belongs to; CheckpointError if there was one."""
-        table = self.path / "curve.csv"
-        there = self._run["resumed"] and table.exists()
-        n = files.read_regular(table).count(b"\n") - 1 if there else 0
-        if n <= 0:
-            return
-        if self._run.get("saved", True):
-            raise CheckpointError(
-                f"{self.path} holds results of {n} renders, but no {CHECKPOINT}, from which the "
-                "run could go on: copy it back, or start again in another directory"
-            )
-        folder = next(p for i in count(1) if not (p := self.path / f"before-{i}").exists())
-        folder.mkdir()
-        for name in ("run.json", *results_in(self.path)):
-            (self.path / name).rename(folder / name)
-        warn_user(
-            f"{self.path} holds results of {n} renders, which ended before their state could be "
-            f"written: they are in {folder.name} now, and the run begins anew"
-        )
-
-    def _check_no_other_files(self) -> None:
-        there = results_in(self.path)
-        if there:
-            raise RunDirectoryError(
-                f"{self.path} has no run.json, but {', '.join(there)}, which a run may overwrite; "
-                "name another directory, or move that away; if it was a run, copy its run.json "
-                "back to go on with it"
-            )
 
     def _check(self, there: dict[str, Any], resume: bool, may_change: Collection[str]) -> None:
         changed = {key: self.settings[key] for key in may_change}
@@ -289,15 +233,12 @@ class RunDirectory:
         """Write a checkpoint, the tables and the best image, each also where another fails.
 
         The checkpoint, the largest, comes last; but the first one first, so that a kill leaves no
-        tables without one.  best, values: see `write_tables`.
+        tables without one.
         """
-
-        def write_state() -> None:
-            write_checkpoint(self.path, record, optimizer)
-            if not self._run.get("saved"):
-                self.write_run()
-
-        writes = [lambda: self.write_tables(record, best, values), write_state]
+        writes = [
+            lambda: self.write_tables(record, best, values),
+            lambda: write_checkpoint(self.path, record, optimizer),
+        ]
         try_each(*(writes if is_saved(self.path) else reversed(writes)))
 
     def write_tables(
@@ -333,14 +274,12 @@ class RunDirectory:
 
         Without matplotlib, which is an extra, a warning says so: the run is worth more.
         """
-        from fide_plugins.recording.figures import summary
-
         try:
-            drawn = summary(result, target, counts)
+            from fide_plugins.recording.plots import summary
         except DependencyError as error:
             warn_user(f"summary.png is left out: {error}")
         else:
-            files.write_bytes(self.path / "summary.png", drawn)
+            files.write_bytes(self.path / "summary.png", summary(result, target, counts))
 
     def _write_picture(self, name: str, image: Float32 | None) -> None:
         if image is not None:
@@ -361,14 +300,9 @@ class RunDirectory:
         stopped: str | None = None,
         more: Mapping[str, Any] | None = None,
     ) -> None:
-        """Write `run.json`.
-
-        state: "running", "finished", "interrupted" or "failed".
-        stopped: the rule by which the run has ended, where it has several.  more: further totals.
-        """
+        """Write `run.json`; stopped: the rule by which the run has ended; more: further totals."""
         self._run |= {
             "state": state,
-            "saved": is_saved(self.path),  # so that one which is removed is missed
             "versions": machine.versions(),
             "machine": machine.machine(),
             "load": machine.load(),

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import io
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from fide_plugins.recording.record import PARTS, RunResult, best_so_far
-from fide_plugins.runtime.messages import counted
-from fide_plugins.runtime.plotting import new_figure
+from fide_plugins.recording.record import best_so_far
 from fide_plugins.types import Float32, Float64
 
 THUMBNAIL = 160
@@ -21,8 +18,7 @@ THUMBNAIL = 160
 GAIN = 4
 """By how much a picture of a difference is stronger than the difference."""
 INK, MUTED, ACCENT = "#1a1a1a", "#8a8f98", "#c2410c"
-_WIDTH, _BELOW, _TITLE = 9.0, 3.45, 0.3  # inches: a summary, all below its pictures, a title
-_PART_COLORS = {"render": "#64748b", "encode": "#0e7490", "train": "#c2410c", "search": "#a16207"}
+_TITLE = 0.3  # inches above a picture
 
 
 def as_png(image: Float32) -> bytes:
@@ -87,60 +83,6 @@ def arrangement(panels: Sequence[Panel], width: float, most: float) -> tuple[int
     return best[1:]
 
 
-def summary(result: RunResult, target: Float32, counts: Float32 | None = None) -> bytes:
-    """PNG with the target, the first render, the best image, what is left, the losses, the times.
-
-    counts: (H, W), weights of the pixels; None: all are alike.
-    """
-    panels = _panels(result, target, counts)
-    rows, columns, pictures = arrangement(panels, 0.945 * _WIDTH, 3.2)
-    height = pictures + _BELOW
-    figure = new_figure(_WIDTH, height, dpi=110)
-    top = 1 - 0.8 / height
-    images = figure.add_gridspec(
-        rows, columns, left=0.03, right=0.975, top=top, bottom=top - (pictures - _TITLE) / height,
-        wspace=0.05, hspace=_TITLE / max(0.1, pictures / rows - _TITLE),
-    )  # fmt: skip
-    curve = figure.add_axes((0.085, 0.95 / height, 0.89, 1.55 / height))
-    times = figure.add_axes((0.085, 0.36 / height, 0.89, 0.12 / height))
-    _title(figure, result, 1 - 0.3 / height)
-    for k, panel in enumerate(panels):
-        draw_image(figure.add_subplot(images[divmod(k, columns)]), panel)
-    draw_curve(curve, result.losses, result.loss)
-    _time_bar(times, result)
-    return figure_as_png(figure)
-
-
-def _panels(result: RunResult, target: Float32, counts: Float32 | None) -> list[Panel]:
-    blank = np.zeros_like(target)
-    start, best = result.first_image, result.image
-    of_image = not result.noisy and math.isfinite(result.mse)  # then views count alike
-    found = f"MSE {result.mse:.3g}" if of_image else _mse(best, target, counts)
-    panels = [
-        Panel("target", target),
-        Panel("first render", blank if start is None else start, _mse(start, target, counts)),
-        Panel("best", blank if best is None else best, found),
-    ]
-    if best is not None:
-        panels.append(Panel(f"{GAIN}x difference", difference(target, best, counts)))
-    if result.noisy and result.reference is not None:
-        panels.append(Panel("reference", result.reference, f"MSE {result.mse:.3g}"))
-    return panels
-
-
-def _title(figure: Any, result: RunResult, y: float = 0.955) -> None:
-    figure.text(
-        0.03, y, f"{plain(result.task)}, fitted by {plain(result.optimizer)}",
-        fontsize=14, fontweight="bold", color=INK, va="center",
-    )  # fmt: skip
-    parameters = counted(result.parameters, "parameter")
-    facts = f"{parameters}   {result.evaluations:,} renders   seed {result.seed}"
-    figure.text(
-        0.975, y, facts,
-        fontsize=10, color=MUTED, va="center", ha="right",
-    )  # fmt: skip
-
-
 def draw_image(axes: Any, panel: Panel) -> None:
     """Draw a picture with its name."""
     large = max(panel.image.shape[:2]) >= 300
@@ -175,8 +117,7 @@ def draw_curve(axes: Any, losses: Float64, loss: str) -> None:
     axes.tick_params(which="both", labelsize=8, colors=MUTED)
     axes.grid(axis="y", color="#e4e4e7", linewidth=0.6)
     axes.set_axisbelow(True)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+    axes.spines[["top", "right"]].set_visible(False)
 
 
 def _least_shown(losses: Float64) -> float:
@@ -185,35 +126,6 @@ def _least_shown(losses: Float64) -> float:
     if losses.min() < 0 or not len(positive):
         return -np.inf
     return float(positive.min()) if losses.min() > 0 else float(positive.min()) / 10
-
-
-def _time_bar(axes: Any, result: RunResult) -> None:
-    axes.axis("off")
-    axes.set_xlim(0, 1)
-    axes.set_ylim(0, 1)
-    total = max(result.wall_s, 1e-9)
-    labels, left = [], 0.0
-    for part in PARTS:
-        share = result.times[part] / total
-        axes.barh(0.5, share, left=left, height=1.0, color=_PART_COLORS[part])
-        if share >= 0.005:
-            labels.append((f"{part} {share:.0%}", _PART_COLORS[part]))
-        left += share
-    other = max(0.0, 1.0 - left)
-    axes.barh(0.5, other, left=left, height=1.0, color="#e4e4e7")
-    if other >= 0.005:
-        labels.append((f"other {other:.0%}", MUTED))
-    axes.text(1.0, -0.5, f"{result.wall_s:.1f} s", fontsize=9, color=INK, ha="right", va="top")
-    for i, (label, color) in enumerate(labels):
-        axes.text(0.13 * i, -0.5, label, fontsize=9, color=color, ha="left", va="top")
-
-
-def _mse(image: Float32 | None, target: Float32, counts: Float32 | None) -> str:
-    """Mean squared error of an image, weighted by the weights (H, W) of its pixels, as a text."""
-    if image is None:
-        return ""
-    squared = np.square(image.astype(np.float64) - target).mean(axis=-1)
-    return f"MSE {np.average(squared, weights=counts):.3g}"
 
 
 def plain(text: str) -> str:

@@ -1,8 +1,7 @@
 """Progress, history and result of a run.
 
-Notation: a *piece* is a group of candidates that are rendered and told together; *overhead* is all
-time except rendering; *rounds* are those that parallel renderers would need for a run: ceil(n / W)
-for the n candidates of one generation, since the next generation starts when all are evaluated.
+A *piece* is a group of candidates that are rendered and told together; *rounds* are those that
+parallel renderers would need: ceil(n / W) for the n candidates of a generation.
 """
 
 from __future__ import annotations
@@ -72,12 +71,9 @@ class Keep:
 class Progress:
     """Progress of a run.
 
-    evaluations, budget: renders done and allowed.
-    best_loss: lowest loss so far; infinity before the first finite loss.
-    wall_s: seconds so far, without interruptions.
-    times: seconds by `PARTS`; the loop itself takes the rest.
-    remark: what else is known, such as "3 rendering, 1 failed".
-    time: seconds that are allowed; None: no limit.
+    evaluations, budget: renders done and allowed.  best_loss: infinity before the first finite one.
+    wall_s: seconds so far, without interruptions; times: by `PARTS`; time: that are allowed.
+    doing: what is done before the search; then "".  remark: such as "3 rendering, 1 failed".
     """
 
     evaluations: int
@@ -95,33 +91,22 @@ Report: TypeAlias = Callable[[Progress], object]
 
 @dataclass(frozen=True, eq=False)
 class RunResult:
-    """Result and cost of a run.
+    """Result and cost of a run; times in seconds, without interruptions.
 
-    Times are in seconds, without interruptions; `overhead_s` is all time except rendering.
-    `judge_s` is the time of the noise-free evaluation after the run, `watch_s` that of metrics;
-    no other time includes them.
-
-    task, optimizer, loss: their names.
-    seed, task_seed: of the optimizer, and of the target; None for a picture of the user's.
-    dim: number of coordinates.  parameters: their number; a choice of three values is one of them,
-        and has three coordinates.
+    seed, task_seed: of the optimizer and the target; None for a picture of the user's.
     budget, evaluations: renders that were allowed, and done.
+    dim: number of coordinates; parameters: a choice of three values is one, and has three of them.
     losses, seconds: (evaluations,), in the order of evaluation; seconds since the start.
-    best_loss: lowest loss; biased low for a noisy task.  best_evaluation: its index, from 0.
-    reference_loss, mse: loss and mean squared error of the reference image of the best candidate;
-        of `image` if the task has no reference.
-    recommended_loss: loss of the reference image of the recommended candidate; NaN without one.
-    wall_s: of the whole run.  times: by `PARTS`.
-    x_best, x_recommended: (dim,); image: (H, W, 3), render of x_best during the run;
-        reference: (H, W, 3), noise-free image of x_best.  They are None if no candidate had a
-        finite loss.
-    first_image: (H, W, 3), first render of the run.
-    improvements: (m,), indices of evaluations that were the best so far.
-    metrics: other losses of these improvements by name, (m,).
-    judged: other losses of the reference image by name.
+    best_loss: lowest loss, biased low for a noisy task; best_evaluation: its index, from 0.
+    reference_loss, mse, recommended_loss: see `Verdict`.
+    wall_s: of the whole run; judge_s: of the noise-free evaluation after it; watch_s: of metrics.
+        times: by `PARTS`.
+    x_best, x_recommended: (dim,); image: (H, W, 3), render of x_best; reference: its noise-free
+        image; first_image: first render.  None where there is none.
+    improvements: (m,), indices of evaluations that were the best so far; metrics: other losses of
+        these by name, (m,); judged: other losses of the reference image.
     generations: (g,), number of candidates of each generation.
-    status: what the optimizer knows of the run; None where it does not say.
-    params: of x_best, by name and in their units; None without a space.
+    status: what the optimizer knows of the run; params: of x_best; None where unknown.
     """
 
     task: str
@@ -162,16 +147,15 @@ class RunResult:
         return self.times["render"]
 
     @property
-    def noisy(self) -> bool:
-        """Whether the reference image of the best candidate differs from its render."""
-        if self.image is None or self.reference is None:
-            return False
-        return not np.array_equal(self.image, self.reference)
-
-    @property
     def overhead_s(self) -> float:
         """Seconds spent on anything but rendering."""
         return self.wall_s - self.times["render"]
+
+    @property
+    def noisy(self) -> bool:
+        """Whether the reference image of the best candidate differs from its render."""
+        both = self.image is not None and self.reference is not None
+        return both and not np.array_equal(self.image, self.reference)  # type: ignore[arg-type]
 
     def summary(self) -> dict[str, Any]:
         """Totals for JSON; numbers that are not finite become None."""
@@ -266,15 +250,16 @@ class Record:
         return improved
 
     def judge_best(self, best: Solution) -> None:
-        """Replace the best candidate, after images began to be compared in another way.
+        """Replace the best candidate, after images began to be compared in another way."""
+        self.best_loss, self.best_evaluation = best.loss, best.evaluation
+        self.x_best, self.image = best.x.copy(), best.image
 
-        Of all others the losses are of the old comparison, and become infinite.
-        """
+    def keep_only(self, best: Solution) -> None:
+        """The same; all other losses are of the old comparison, and become infinite."""
+        self.judge_best(best)
         self.losses = array("d", [math.inf]) * self.evaluations
         self.losses[best.evaluation] = best.loss
         self.improvements, self.path = array("q", [best.evaluation]), [best.x.copy()]
-        self.best_loss, self.best_evaluation = best.loss, best.evaluation
-        self.x_best, self.image = best.x.copy(), best.image
 
     @contextmanager
     def timing(self, optimizer: Optimizer) -> Iterator[None]:
@@ -327,13 +312,9 @@ def _finite(value: float) -> float | None:
 class Verdict:
     """Noise-free losses of the best candidate and of the recommended candidate.
 
-    image: (H, W, 3) of the best candidate: the task's reference or, if the task has none, the
-        render of the run; None if there is no best candidate.
-    loss, mse: loss of the run and mean squared error of that image; NaN without an image.
-    x_recommended: (dim,), recommended by the optimizer; None if the task has no `reference`.
-    recommended_loss: loss of its reference; NaN if the task has no `reference`.
-    metrics: other losses of the image by name.
-    seconds: duration of the evaluation.
+    image: (H, W, 3) of the best candidate: the task's reference, or the render of the run.
+    loss, mse, metrics: loss of the run, mean squared error and other losses of that image.
+    x_recommended: (dim,); recommended_loss: of its reference; None and NaN without a reference.
     """
 
     image: Float32 | None = None
@@ -360,30 +341,21 @@ def result_of(
     """
     r, s = record, settings
     there = None if s.get("space") is None else Space.from_dict(s["space"])
+    same = ("task", "optimizer", "loss", "seed", "task_seed", "dim")
+    copied = ("evaluations", "best_loss", "best_evaluation", "wall_s", "watch_s", "image")
     return RunResult(
-        task=s["task"],
-        optimizer=s["optimizer"],
-        loss=s["loss"],
-        seed=s["seed"],
-        task_seed=s["task_seed"],
-        dim=s["dim"],
+        **{name: s[name] for name in same},
+        **{name: getattr(r, name) for name in (*copied, "first_image")},
         parameters=int(s["dim"]) if there is None else len(there.names),  # else of each coordinate
         budget=budget,
-        evaluations=r.evaluations,
-        best_loss=r.best_loss,
-        best_evaluation=r.best_evaluation,
         reference_loss=verdict.loss,
         recommended_loss=verdict.recommended_loss,
         mse=verdict.mse,
-        wall_s=r.wall_s,
         judge_s=verdict.seconds,
-        watch_s=r.watch_s,
         times=dict(r.times),
         x_best=None if r.x_best is None else r.x_best.copy(),
         x_recommended=verdict.x_recommended,
-        image=r.image,
         reference=verdict.image,
-        first_image=r.first_image,
         losses=np.array(r.losses),
         seconds=np.array(r.seconds),
         improvements=np.array(r.improvements, np.int64),

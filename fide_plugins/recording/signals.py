@@ -1,8 +1,7 @@
 """Ctrl-C and SIGTERM: stop where the state is consistent, and save it.
 
-A signal stops rendering at once, since an unfinished piece is rendered again after resuming.
-During a step of the optimizer it waits for the end of the step.  A second signal does not wait for
-that.  Once the run is over and being saved, no signal stops the writing.
+A signal stops rendering at once; during a step of the optimizer it waits for the end of the step,
+and a second signal does not.
 """
 
 from __future__ import annotations

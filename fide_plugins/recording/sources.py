@@ -1,9 +1,6 @@
 """What a run depends on by name: versions are recorded, so that another one is noticed.
 
-A reference such as ``mine.py:Search`` or ``learned=model.fide`` is all that the settings of a run
-have of them.  `run.json` has the digest of each file beside it, of the weights of a pretrained
-encoder, and the version of each loss, one for each version that calls of the run have had.  What a
-file imports is not known.
+`run.json` has a digest of each file, of weights, and the version of each loss, the newest last.
 """
 
 from __future__ import annotations
@@ -20,24 +17,9 @@ from fide_plugins.saving import Saved
 if TYPE_CHECKING:
     from fide_plugins.losses.base import ImageLoss
 
-__all__ = [
-    "edited",
-    "file_of",
-    "loss_reference",
-    "of_files",
-    "of_losses",
-    "of_models",
-    "of_weights",
-    "versions_there",
-    "versions_with",
-    "warn_of_model",
-    "with_model_there",
-]
-
 _HYPOTHESES = "learned="  # option that names the file of a learned model
 _ENCODER, _WEIGHTS = "encoder=", "weights"  # reference, and kind of the fingerprint
 _LOSS, _VERSION = "loss=", "version"
-_OBJECT = "Model"  # in the settings, for a model that was given as an object
 
 
 def of_files(fingerprints: Mapping[str, str | None]) -> dict[str, str]:
@@ -127,73 +109,21 @@ def versions_with(
     before: contents of its `run.json`, if there is one; begun: whether it goes on from a saved
         state, which is of the versions before.
 
-    Warns, once for each edit, of a file or a loss that has changed since, but of no model and no
-    loss of FIDE: the model of its hypotheses is not read again (`warn_of_model`), and it refuses
-    another encoder or loss, as every encoder refuses other weights.
+    Warns, once for each edit, of a file or a loss that has changed since; but not of a model,
+    weights or the loss of FIDE, whose state has or refuses them.
     """
     there = versions_there(before) if begun else {}
-    if begun:
+    if begun and before is not None:
         here = {name: now for name, now in here.items() if kind_of(now) != _WEIGHTS}
-    if begun and before is not None and before["settings"].get("optimizer") == "fide":
-        here = {name: now for name, now in here.items() if not name.startswith(_HYPOTHESES)}
-        here.pop(loss_reference(before["settings"].get("loss", "")), None)
+        if before["settings"].get("optimizer") == "fide":
+            own = loss_reference(before["settings"].get("loss", ""))
+            here = {k: v for k, v in here.items() if k != own and not k.startswith(_HYPOTHESES)}
     newest = {reference: versions[-1:] for reference, versions in there.items()}
     for reference in edited(newest, here):
-        file = file_of(reference)
         warn_user(
-            f"{file} has changed since the run in {path} was last at work: what is there was made "
-            "with the earlier version, and what follows is with this one; unless the change only "
-            "mends an error, undo it, or start again in another directory"
+            f"{file_of(reference)} has changed since the run in {path} was last at work: what is "
+            "there was made with the earlier version, and what follows is with this one; unless "
+            "the change only mends an error, undo it, or start again in another directory"
         )
-    return {
-        **there,
-        **{
-            reference: [*there.get(reference, []), now]
-            for reference, now in here.items()
-            if newest.get(reference) != [now]
-        },
-    }
-
-
-def with_model_there(there: Mapping[str, Any], here: dict[str, Any]) -> dict[str, Any]:
-    """Settings of a fit that goes on from its saved state, with the model that it began with.
-
-    The state has that model's hypotheses, and the file may be anywhere now.
-    there, here: settings that are saved, and those of this call.  Others than FIDE need their
-        model.
-    """
-    before = _learned(there)
-    if here.get("optimizer") != "fide" or before is None or before == _learned(here):
-        return here
-    return {**here, "options": {**here["options"], "learned": before}}
-
-
-def warn_of_model(
-    given: Mapping[str, Any], run: Mapping[str, Any], here: Mapping[str, str], path: Path
-) -> None:
-    """Warn of a model file that is given, where the search in the folder `path` has another one.
-
-    Others than FIDE read their model again, see `versions_with`.
-    given: settings of this call; run: contents of `run.json` of a fit that goes on from its saved
-        state; here: fingerprints of this call.
-    """
-    if given.get("optimizer") != "fide":
-        return
-    now, before = _learned(given), _learned(run["settings"])
-    if now in (None, _OBJECT) or before in (None, _OBJECT):  # no file, or it is not known which
-        return
-    renamed = Path(str(now)).absolute() != Path(str(before)).absolute()
-    then = versions_there(run).get(f"{_HYPOTHESES}{before}")
-    present = here.get(f"{_HYPOTHESES}{now}")
-    another = then[-1] != present if then and present else renamed
-    if another:
-        warn_user(
-            f"the search in {path} goes on with the hypotheses of {before}, with which it began: "
-            f"learned={now!r} {'' if renamed else 'has changed since and '}is not used; to use it, "
-            "start again in another directory"
-        )
-
-
-def _learned(settings: Mapping[str, Any]) -> Any:
-    options = settings.get("options")
-    return options.get("learned") if isinstance(options, dict) else None
+    new = {name: now for name, now in here.items() if newest.get(name) != [now]}
+    return there | {name: [*there.get(name, []), now] for name, now in new.items()}

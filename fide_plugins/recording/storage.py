@@ -1,9 +1,7 @@
 """Files of a run as others read them: its record, its checkpoint, its target.
 
-`run.json` is the record of a run (`study.json` that of a comparison).  `run.ckpt` is the state from
-which a run goes on; it names the file of the optimizer, which is written first, under a new name.
-So a kill at any moment leaves a consistent pair.  `target.ckpt` is the picture to find, to the last
-bit: another process may render another one, with noise, on a GPU or another processor.
+`run.ckpt` names the file of the optimizer, which is written first, under a new name: so a kill at
+any moment leaves a consistent pair.
 """
 
 from __future__ import annotations
@@ -58,10 +56,7 @@ def _check_contents(run: dict[str, Any]) -> None:
 def read_json(
     path: Path, kind: str, check: Callable[[dict[str, Any]], None]
 ) -> dict[str, Any] | None:
-    """Record of a run or of a comparison (`kind`) in the file `path`; None if there is none.
-
-    check: raises ValueError, KeyError or TypeError for contents that cannot be.
-    """
+    """Record of a run or of a comparison (`kind`) in a file, as `check` allows; None: no file."""
     if not path.exists():
         return None
     try:
@@ -114,16 +109,14 @@ def is_saved(path: str | os.PathLike[str]) -> bool:
 
 
 class RunCheckpoint(NamedTuple):
-    """Contents of `run.ckpt`."""
+    """Contents of `run.ckpt`: state of the `Record`, not checked, and the optimizer's file."""
 
     record: Any
-    """State of the `Record`, not checked."""
     optimizer: str
-    """Name of the optimizer's file in the same folder."""
 
 
 def read_checkpoint(path: Path) -> RunCheckpoint:
-    """State of the run in the folder `path`, see `is_saved`."""
+    """State of the run in the folder `path`."""
     state = checkpoint.read(path / CHECKPOINT, _RUN)
     with _possible(path):
         name = state["optimizer"]
@@ -133,10 +126,7 @@ def read_checkpoint(path: Path) -> RunCheckpoint:
 
 
 def read_record(path: Path, dim: int, size: list[int]) -> tuple[Record, Path]:
-    """Record of the run in the folder `path`, of `dim` parameters, and its optimizer's file.
-
-    size: height and width of its images.
-    """
+    """Record of a run of `dim` parameters and images of size (H, W); its optimizer's file."""
     state, name = read_checkpoint(path)
     with _possible(path):
         check_record(state, dim, size)
@@ -198,11 +188,7 @@ _MEAN, _LARGEST = 1e-5, 1.01 / 255  # rounding by 1e-7 moves a few values of 8 b
 
 
 class KeptTarget(NamedTuple):
-    """What such a file holds.
-
-    image: (H, W, 3).
-    source: by what the same target is known without another render; None where nothing tells.
-    """
+    """A target (H, W, 3) to the last bit, and by what it is known without another render."""
 
     image: Float32
     source: str | None

@@ -3,27 +3,23 @@
 from __future__ import annotations
 
 import atexit
-import math
 import os
-import select
 import signal
 import subprocess
 import tempfile
 import threading
-from collections.abc import Callable, Iterator, Sequence
+import time
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing import parent_process
 from pathlib import Path
-from types import FrameType
-from typing import IO, Any
+from typing import IO
 
-_SHOWN = 20  # last lines of the output that an error shows
-_MOST = 4000  # characters of them
+_SHOWN, _MOST = 20, 4000  # last lines of the output that an error shows; characters of them
 _LONGEST = 2**24  # bytes of output, beyond which its file begins again
 _LOOK = 0.1  # seconds between two looks at its length
 _RUNNING: set[subprocess.Popen[bytes]] = set()  # in groups of their own
-_ENDING = threading.Event()  # this process
 
 
 @dataclass(frozen=True)
@@ -41,157 +37,97 @@ class Ended:
 def run(command: Sequence[str], log: Path, timeout: float | None) -> Ended:
     """Run a program in the current folder, the end of its output in the file `log`.
 
-    The program gets no standard input.  All it has started is stopped with it: after `timeout`
-    seconds, when this process is interrupted, or when it ends while a thread waits.  To know what
-    that is, the program gets a process group of its own; but in a worker process that leads one, it
-    stays in that, so that who kills the worker's group kills the program, too.
+    All it has started is stopped with it: after `timeout` seconds, when this process is
+    interrupted, or when it ends while a thread waits.  So the program gets a process group of its
+    own; but in a worker process that leads one, it stays in that: who kills the worker kills it.
     """
     log.unlink(missing_ok=True)
+    leads = _is_leader()
     with log.open("a+b", buffering=0) as output:  # "a": after `_shorten`, too, it goes to the end
-        child = None
+        child = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            start_new_session=os.name == "posix" and not leads,
+        )
+        watch = _Watch(child, output, timeout, leads)
         try:
-            # until it is known what is to be stopped
-            with _deferred(signal.SIGINT, signal.SIGTERM):
-                child = _start(command, output)
-                if not _is_leader():
-                    _RUNNING.add(child)
-            if _ENDING.is_set():
-                raise OSError("this process ends, so it starts no other program")
-            with _kept_short(output):
-                code = _wait(child, timeout)
+            watch.thread.start()
+            code = child.wait()  # `wait` with a limit notices the end late
         finally:
-            if child is not None:
-                if child.returncode is None:
-                    _stop(child)
-                _RUNNING.discard(child)
-    return Ended(code, tail_of(log))
+            watch.over.set()
+            if child.returncode is None or (watch.is_late and leads):
+                _stop(child, leads)
+            _RUNNING.discard(child)
+            watch.thread.join()
+    return Ended(None if watch.is_late else code, tail_of(log))
+
+
+class _Watch:
+    """A thread that stops a program after its time, and keeps its output short.
+
+    A program that prints in a loop would fill the disk.
+    """
+
+    def __init__(
+        self, child: subprocess.Popen[bytes], output: IO[bytes], timeout: float | None, leads: bool
+    ) -> None:
+        self.over, self.is_late = threading.Event(), False
+        self.thread = threading.Thread(target=self._run, name="fide-program", daemon=True)
+        self._child, self._output, self._leads = child, output, leads
+        self._until = None if timeout is None else time.monotonic() + timeout
+        if not leads:
+            _RUNNING.add(child)
+
+    def _run(self) -> None:
+        while True:
+            left = _LOOK if self._until is None else self._until - time.monotonic()
+            if self.over.wait(max(0.0, min(_LOOK, left))):
+                return
+            late = self._until is not None and time.monotonic() >= self._until
+            if late and self._child.returncode is None:
+                self.is_late = True
+                with suppress(OSError):
+                    self._child.kill() if self._leads else _kill(self._child)
+                return
+            with suppress(OSError):  # on a disk that is full already
+                self._shorten()
+
+    def _shorten(self) -> None:
+        length = os.fstat(self._output.fileno()).st_size
+        if length > _LONGEST:
+            self._output.seek(length - _MOST)
+            end = self._output.read(_MOST)
+            self._output.truncate(0)
+            self._output.write(end)
 
 
 @atexit.register
 def _stop_all() -> None:
     """Kill what threads wait for, which come to no end of their own when this process ends."""
-    _ENDING.set()
     for child in list(_RUNNING):
         with suppress(OSError):
             _kill(child)
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_RUNNING.clear)  # they are of the parent
-
-
-def _wait(child: subprocess.Popen[bytes], timeout: float | None) -> int | None:
-    ended = None if timeout is None else _ends_within(child, timeout)
-    if ended is False:
-        return None
-    try:
-        return child.wait(timeout if ended is None else None)
-    except subprocess.TimeoutExpired:
-        return None
-
-
-def _ends_within(child: subprocess.Popen[bytes], timeout: float) -> bool | None:
-    """Whether the program ends within so many seconds; None where the system does not tell.
-
-    `wait` with a limit looks every 50 ms whether the program has ended; Linux tells at once.
-    """
-    if not hasattr(os, "pidfd_open") or timeout * 1000 >= 2**31 - 1:
-        return None
-    try:
-        descriptor = os.pidfd_open(child.pid)
-    except OSError:
-        return None
-    try:
-        ended = select.poll()
-        ended.register(descriptor, select.POLLIN)
-        return bool(ended.poll(math.ceil(timeout * 1000)))
-    finally:
-        os.close(descriptor)
-
-
-@contextmanager
-def _kept_short(output: IO[bytes]) -> Iterator[None]:
-    """Keep a file short meanwhile: a program that prints in a loop would fill the disk.
-
-    A thread does it: who waits for the program with pauses notices its end late.
-    """
-    over = threading.Event()
-
-    def keep() -> None:
-        while not over.wait(_LOOK):
-            with suppress(OSError):  # on a disk that is full already
-                _shorten(output)
-
-    thread = threading.Thread(target=keep, name="fide-output", daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        over.set()
-        thread.join()
-
-
-def _shorten(output: IO[bytes]) -> None:
-    length = os.fstat(output.fileno()).st_size
-    if length > _LONGEST:
-        output.seek(length - _MOST)
-        end = output.read(_MOST)
-        output.truncate(0)
-        output.write(end)
-
-
-@contextmanager
-def _deferred(*signals: signal.Signals) -> Iterator[None]:
-    """Call the handlers of signals that arrive meanwhile at the end; only in the main thread.
-
-    Signals without a handler in Python, such as ignored ones, are left alone: a program that is
-    started meanwhile inherits that they are ignored.
-    """
-    arrived: list[tuple[int, FrameType | None]] = []
-    before: dict[signal.Signals, Callable[[int, FrameType | None], Any]] = {}
-    if threading.current_thread() is threading.main_thread():
-        for number in signals:
-            handler = signal.getsignal(number)
-            if callable(handler):
-                before[number] = handler
-    try:
-        for number in before:
-            signal.signal(number, lambda *call: arrived.append(call))
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-        for which, frame in arrived:
-            before[signal.Signals(which)](which, frame)
-
-
-def _start(command: Sequence[str], output: IO[bytes]) -> subprocess.Popen[bytes]:
-    return subprocess.Popen(
-        command,
-        stdin=subprocess.DEVNULL,
-        stdout=output,
-        stderr=subprocess.STDOUT,
-        start_new_session=os.name == "posix" and not _is_leader(),
-    )
 
 
 def _is_leader() -> bool:
     """Whether this is a worker process whose group has nobody else but what it has started."""
     if parent_process() is None or os.name != "posix":
         return False
-    here = threading.current_thread() is threading.main_thread()  # `_stop` sets a handler
-    return here and os.getpgrp() == os.getpid()
+    is_main = threading.current_thread() is threading.main_thread()  # `_stop` sets a handler
+    return is_main and os.getpgrp() == os.getpid()
 
 
-def _stop(child: subprocess.Popen[bytes]) -> None:
-    """Stop a program that has not been waited for, so that its number is still its own."""
-    if not _is_leader():
-        _kill(child)
-    else:
-        before = signal.signal(signal.SIGTERM, signal.SIG_IGN)  # the group has this process, too
-        os.killpg(0, signal.SIGTERM)
-        child.kill()
-        signal.signal(signal.SIGTERM, before)
+def _stop(child: subprocess.Popen[bytes], leads: bool) -> None:
+    with suppress(OSError):  # it has ended
+        if leads:
+            before = signal.signal(signal.SIGTERM, signal.SIG_IGN)  # the group has this process
+            os.killpg(0, signal.SIGTERM)
+            child.kill()
+            signal.signal(signal.SIGTERM, before)
+        else:
+            _kill(child)
     child.wait()
 
 

@@ -12,14 +12,12 @@ placeholder            is replaced by
 ``{{`` and ``}}``      braces
 =====================  =====================================================================
 
-The template is split into arguments before values are filled in, and there is no shell: a value
-is always one argument, or a piece of one, whatever it contains.
+The template is split into arguments before values are filled in, and there is no shell.
 """
 
 from __future__ import annotations
 
 import json
-import os
 import shlex
 import shutil
 import string
@@ -48,7 +46,7 @@ TIMEOUT = 60.0
 class CommandRenderer:
     """Function of a dictionary of parameters that runs a program and reads the image it writes.
 
-    templates: command line of the program, see `template`; or one for each view, then the images
+    templates: command line of the program, see `Template`; or one for each view, then the images
         are a list.
     space: the parameters.
     timeout: seconds that a render may take, all views together, until its program is stopped; None
@@ -59,10 +57,9 @@ class CommandRenderer:
     The program runs in the current folder.  The image and the file of parameters are in a temporary
     folder of their own, which is removed afterwards.
 
-    Raises OptionError (a ValueError) for what can be known before the first render: see
-    `template.Template`; also for a parameter that no template has, and for an ending of the image
-    that cannot be read.  Calls raise RenderError, with the command and the last lines of its
-    output: if it fails, does not end in time, or writes no image that can be read.
+    Raises OptionError (a ValueError) for what can be known before the first render.  Calls raise
+    RenderError, with the command and the last lines of its output: if it fails, does not end in
+    time, or writes no image that can be read.
     """
 
     def __init__(
@@ -74,13 +71,18 @@ class CommandRenderer:
     ) -> None:
         if timeout is not None and not timeout > 0:
             raise OptionError(f"timeout must be a number of seconds > 0, not {timeout!r}")
-        self._one_view = isinstance(templates, str)
+        self._given = templates
         texts = [templates] if isinstance(templates, str) else list(templates)
         self.templates = [Template(text, space) for text in texts]
         self.space, self.timeout, self.raw = space, timeout, raw
-        self._check_used()
+        used = {name for template in self.templates for name in template.used}
+        unused = [name for name, axes in space.axes.items() if axes and name not in used]
+        if unused and "params" not in used:
+            raise OptionError(
+                f"the parameter {unused[0]!r} of the space is nowhere in the command; write "
+                f"{{{unused[0]}}} where the program expects it, or take it out of the space"
+            )
         for template in self.templates:
-            _check_suffix(template.suffix)
             template.command(space.decode(np.full(space.dim, 0.5)), "out", "params")
 
     def __call__(self, params: Mapping[str, Any]) -> Pixels | list[Pixels]:
@@ -90,7 +92,7 @@ class CommandRenderer:
         """
         until = None if self.timeout is None else time.monotonic() + self.timeout
         pictures = [self._render(template, params, until) for template in self.templates]
-        return pictures[0] if self._one_view else pictures
+        return pictures[0] if isinstance(self._given, str) else pictures
 
     @property
     def name(self) -> str:
@@ -100,65 +102,59 @@ class CommandRenderer:
     @property
     def fingerprint(self) -> str:
         """Of the command lines."""
-        text = "\0".join(each.text for each in self.templates)
-        return of_bytes("command", text.encode())
+        return of_bytes("command", "\0".join(each.text for each in self.templates).encode())
 
     def __reduce__(self) -> tuple[Any, ...]:
-        texts = [template.text for template in self.templates]
-        text = texts[0] if self._one_view else texts
-        return CommandRenderer, (text, self.space, self.timeout, self.raw)
+        return CommandRenderer, (self._given, self.space, self.timeout, self.raw)
 
     def __repr__(self) -> str:
         return f"CommandRenderer({', '.join(repr(each.text) for each in self.templates)})"
 
-    def _check_used(self) -> None:
-        used = {name for template in self.templates for name in template.used}
-        unused = [name for name, axes in self.space.axes.items() if axes and name not in used]
-        if unused and "params" not in used:
-            raise OptionError(
-                f"the parameter {unused[0]!r} of the space is nowhere in the command; write "
-                f"{{{unused[0]}}} where the program expects it, or take it out of the space"
-            )
-
     def _render(self, template: Template, params: Mapping[str, Any], until: float | None) -> Pixels:
         with folder_of_a_render() as folder:
-            written = folder / "image"
+            written, log, parameters = folder / "image", folder / "output.txt", folder / "params"
             written.mkdir()
-            parameters = folder / "params.json"
             if "params" in template.used:
+                parameters = folder / "params.json"
                 parameters.write_text(json.dumps(params), "utf-8")
             out = written / f"out{template.suffix}"
             command = template.command(params, str(out), str(parameters))
             try:
-                self._run(command, folder / "output.txt", until)
-                return _read(out, folder / "output.txt", self.raw)
-            except _Failed as failed:
-                shown = template.command(params, f"out{template.suffix}", "params.json")
-                raise RenderError(_message(failed, shown, params)) from None
+                self._run(command, log, until)
+                return _read(out, self.raw)
+            except (_Failed, ImageError) as failed:
+                shown = template.command(params, out.name, "params.json")
+                tail = tail_of(log) if log.exists() else ""
+                output = f"its last output:\n{tail}" if tail else "it printed nothing"
+                reason = str(failed).replace(f"{written}/", "")
+                raise RenderError(
+                    f"{command[0]} {reason}\nwith the parameters {described(params)}\n"
+                    f"to see it, run: {shlex.join(shown)}\n{output}"
+                ) from None
 
     def _run(self, command: list[str], log: Path, until: float | None) -> None:
         left = None if until is None else max(0.0, until - time.monotonic())
         try:
-            ended = run(command, log, left)
+            code = run(command, log, left).code
         except OSError as error:
             raise _Failed(f"cannot be started: {error}") from error
-        if ended.code is None:
-            remedy = "give it more time (timeout; in the shell --timeout), or make it faster"
-            together = "" if self._one_view else " for all views together"
-            raise _Failed(f"did not end within {self.timeout:g} s{together}; {remedy}", ended.tail)
-        if ended.code < 0:
-            raise _Failed(f"was ended by signal {-ended.code}", ended.tail)
-        if ended.code > 0:
-            raise _Failed(f"ended with exit code {ended.code}", ended.tail)
+        if code is None:
+            together = "" if isinstance(self._given, str) else " for all views together"
+            raise _Failed(
+                f"did not end within {self.timeout:g} s{together}; give it more time (timeout; in "
+                "the shell --timeout), or make it faster"
+            )
+        if code:
+            raise _Failed(
+                f"was ended by signal {-code}" if code < 0 else f"ended with exit code {code}"
+            )
 
 
 class _Failed(Exception):
-    def __init__(self, what: str, tail: str = "") -> None:
-        super().__init__(what)
-        self.what, self.tail = what, tail
+    """What a program did that gave no image."""
 
 
-def _read(out: Path, log: Path, raw: bool) -> Pixels:
+def _read(out: Path, raw: bool) -> Pixels:
     """The image that was written: the file `out`, or the only one in its folder.
 
     Some programs put a number or an ending after the name they are given.
@@ -167,12 +163,11 @@ def _read(out: Path, log: Path, raw: bool) -> Pixels:
     if len(files) != 1:
         names = ", ".join(sorted(path.name for path in files))
         what = f"wrote several files, but not {out.name}: {names}" if files else "wrote no image"
-        raise _Failed(f"{what}; is {{out}} where it expects the name?", tail_of(log))
+        raise _Failed(f"{what}; is {{out}} where it expects the name?")
     try:
         return read_pixels(files[0], None, raw=True) if raw else _pixels(files[0])
     except ImageError as error:
-        reason = str(error).replace(str(files[0]), files[0].name)
-        raise _Failed(f"wrote an image that cannot be read: {reason}", tail_of(log)) from None
+        raise _Failed(f"wrote an image that cannot be read: {error}") from None
 
 
 def _pixels(path: Path) -> Float32:
@@ -185,24 +180,6 @@ def _pixels(path: Path) -> Float32:
     return as_target(pixels, what=repr(str(path)))
 
 
-def _message(failed: _Failed, command: list[str], params: Mapping[str, Any]) -> str:
-    output = f"\nits last output:\n{failed.tail}" if failed.tail else "\nit printed nothing"
-    return (
-        f"{command[0]} {failed.what}\nwith the parameters {described(params)}\n"
-        f"to see it, run: {shlex.join(command)}{output}"
-    )
-
-
-def _check_suffix(suffix: str) -> None:
-    from PIL import Image
-
-    if suffix.lower() not in (*Image.registered_extensions(), ".hdr"):
-        raise OptionError(
-            f"images that end with {suffix!r} cannot be read; write {{out}} for .png, or for "
-            "example {out:.jpg}, {out:.tif}, {out:.ppm}"
-        )
-
-
 _FILES = ("out", "params")  # placeholders that are no parameters
 _SHELL = ("|", "||", "&", "&&", ";", ">", ">>", "<", "2>", "2>&1", "&>")
 
@@ -212,69 +189,55 @@ class Template:
 
     Raises OptionError (a ValueError) if it is empty or cannot be split, has no ``{out}``, has a
     placeholder that is neither a parameter nor a file, a format that a value of a choice does not
-    fit, holds words for a shell, or if its program is not on this machine.
+    fit, an ending of the image that cannot be read, holds words for a shell, or if its program is
+    not on this machine.
     """
 
     def __init__(self, text: str, space: Space) -> None:
         self.text = text
-        self._space = space
-        self.words = _words(text)
-        for name in _FILES:
-            if name in space.names:
-                raise OptionError(
-                    f"no parameter of a command may be called {name!r}, which is the name of a "
-                    f"file in it; call it {name}_"
-                )
-        fields = [field for word in self.words for field in _fields(word, text)]
+        try:
+            self.words = shlex.split(text)
+            fields = [field for word in self.words for field in _fields(word)]
+        except ValueError as error:
+            raise OptionError(
+                f"the command {text!r} cannot be read ({error}); write {{{{ and }}}} for braces, "
+                "and quotes in pairs"
+            ) from None
         self.used = {name for name, _, _ in fields}
-        _check_names(self.used, space, text)
-        _check_words(self.words)
-        _check_choices(fields, space, text)
         self.suffix = next((spec for name, spec, _ in fields if name == "out" and spec), ".png")
         """Ending of the image's name."""
+        _check_words(self.words, text)
+        _check_names(self.used, space, text)
+        _check_suffix(self.suffix)
+        for name, spec, conversion in fields:  # each of whose renders would fail
+            kind = space.parameters.get(name)
+            for value in kind.values if isinstance(kind, Choice) else ():
+                _formatted(name, value, spec, conversion, text)
 
     def command(self, params: Mapping[str, Any], out: str, params_file: str) -> list[str]:
         """Arguments, the program first, for these parameters and files.
 
         Raises OptionError if a value does not fit the format that is asked for.
         """
-        values = dict(flat(params))
-        return [self._fill(word, values, out, params_file) for word in self.words]
+        values = {**dict(flat(params)), "out": out, "params": params_file}
+        return [self._fill(word, values) for word in self.words]
 
-    def _fill(self, word: str, values: Mapping[str, Any], out: str, params_file: str) -> str:
+    def _fill(self, word: str, values: Mapping[str, Any]) -> str:
         filled = []
         for literal, name, spec, conversion in string.Formatter().parse(word):
             filled.append(literal)
-            if name is None:
-                continue
-            key = _flat_name(name)
-            if key in _FILES:
-                filled.append(out if key == "out" else params_file)
-            else:
-                filled.append(_formatted(key, values[key], spec or "", conversion, self.text))
+            if name is not None:
+                key = _flat_name(name)
+                form = "" if key in _FILES else spec or ""
+                filled.append(_formatted(key, values[key], form, conversion, self.text))
         return "".join(filled)
 
 
-def _words(text: str) -> list[str]:
-    try:
-        words = shlex.split(text)
-    except ValueError as error:
-        raise OptionError(f"the command cannot be split ({error}): {text!r}") from None
-    if not words:
-        raise OptionError("the command is empty; write the program and its arguments")
-    return words
-
-
-def _fields(word: str, text: str) -> list[tuple[str, str, str | None]]:
-    try:
-        parsed = list(string.Formatter().parse(word))
-    except ValueError as error:
-        raise OptionError(
-            f"the placeholders of the command cannot be read ({error}) in {word!r}; write {{{{ and "
-            "}} for braces"
-        ) from None
+def _fields(word: str) -> list[tuple[str, str, str | None]]:
+    """Name, format and conversion of each placeholder; ValueError for what is none."""
+    parsed = list(string.Formatter().parse(word))
     if any(spec and "{" in spec for _, _, spec, _ in parsed):
-        raise OptionError(f"no placeholder may be inside another one, as in {word!r}: {text!r}")
+        raise ValueError(f"a placeholder inside another one in {word!r}")
     return [(_flat_name(name), spec or "", c) for _, name, spec, c in parsed if name is not None]
 
 
@@ -292,7 +255,29 @@ def _flat_name(field: str) -> str:
     return "".join(parts)
 
 
+def _check_words(words: list[str], text: str) -> None:
+    if not words:
+        raise OptionError("the command is empty; write the program and its arguments")
+    for word in words:
+        if word in _SHELL:
+            raise OptionError(
+                f"{word!r} would be an argument, because no shell reads the command; put such a "
+                "line into a script, and make the script the command"
+            )
+    if "{" not in words[0] and shutil.which(words[0]) is None:
+        raise OptionError(
+            f"no program {words[0]!r} that may be executed; install it, write its whole path (no "
+            f"shell reads ~), or the program that runs it first, such as sh: {text!r}"
+        )
+
+
 def _check_names(used: set[str], space: Space, text: str) -> None:
+    taken = [name for name in _FILES if name in space.names]
+    if taken:
+        raise OptionError(
+            f"no parameter of a command may be called {taken[0]!r}, which is the name of a file in "
+            f"it; call it {taken[0]}_"
+        )
     known = [*_FILES, *space.names]
     for name in sorted(used):
         if name not in known:
@@ -309,43 +294,14 @@ def _check_names(used: set[str], space: Space, text: str) -> None:
         )
 
 
-def _check_choices(fields: list[tuple[str, str, str | None]], space: Space, text: str) -> None:
-    """Raise OptionError unless every value of a choice fits its format.
+def _check_suffix(suffix: str) -> None:
+    from PIL import Image
 
-    Each of its renders would fail, and a search would leave that value out.
-    """
-    parameters = space.parameters
-    for name, spec, conversion in fields:
-        kind = parameters.get(name)
-        for value in kind.values if isinstance(kind, Choice) else ():
-            _formatted(name, value, spec, conversion, text)
-
-
-def _check_words(words: list[str]) -> None:
-    for word in words:
-        if word in _SHELL:
-            raise OptionError(
-                f"{word!r} would be an argument, because no shell reads the command; put such a "
-                "line into a script, and make the script the command"
-            )
-    program = words[0]
-    if "{" not in program and shutil.which(program) is None:
-        raise OptionError(_no_program(program))
-
-
-def _no_program(program: str) -> str:
-    if program.startswith("~"):
-        return f"no shell reads the command, so ~ is no folder in {program!r}; write the whole path"
-    if os.sep in program and os.path.isfile(program):
-        return (
-            f"{program!r} is a file that may not be executed; allow it (chmod +x), or write the "
-            "program that runs it first, such as sh or python"
+    if suffix.lower() not in (*Image.registered_extensions(), ".hdr"):
+        raise OptionError(
+            f"images that end with {suffix!r} cannot be read; write {{out}} for .png, or for "
+            "example {out:.jpg}, {out:.tif}, {out:.ppm}"
         )
-    where = "in the folder" if os.sep in program else "on the PATH"
-    return (
-        f"no program {program!r} {where}; install it, or write its whole path "
-        f"(looked from {os.getcwd()})"
-    )
 
 
 def _formatted(name: str, value: Any, spec: str, conversion: str | None, text: str) -> str:

@@ -18,10 +18,7 @@ from fide_plugins.validation.points import whole_number
 
 
 class OwnFolder:
-    """Keeps the current folder of a user's code apart from that of FIDE.
-
-    Scripts call `os.chdir` to find their files.  The paths of targets and of the run directory are
-    relative to the folder in which FIDE was started.
+    """Keeps the current folder of a user's code, which may call `os.chdir`, apart from FIDE's.
 
     All threads of a process have one current folder.  So a block that begins in another thread than
     the main one changes nothing, and is refused if code of the main thread has gone elsewhere.
@@ -32,12 +29,14 @@ class OwnFolder:
 
     @contextmanager
     def entered(self) -> Iterator[None]:
-        """Go where the code was at the end of the last block; go back at the end of this one.
-
-        Raises OptionError (a ValueError) in another thread, if the code was elsewhere then.
-        """
+        """Go where the code was at the end of the last block; go back at the end of this one."""
         if threading.current_thread() is not threading.main_thread():
-            self._check_is_here()
+            if self._left is not None:
+                raise OptionError(
+                    f"the renderer's code has called os.chdir({self._left!r}), and all threads "
+                    "have one current folder: render in processes, or let the code find its files "
+                    "without os.chdir (Path(__file__).parent)"
+                )
             yield
             return
         before = _current_folder()
@@ -51,14 +50,6 @@ class OwnFolder:
             self._left = None if now == before else now
             if before is not None and now != before:
                 os.chdir(before)
-
-    def _check_is_here(self) -> None:
-        if self._left is not None:
-            raise OptionError(
-                "the renderer's code has called os.chdir, and all threads of a process have one "
-                f"current folder, not both {_current_folder()} and {self._left}: render in "
-                "processes, or let the code find its files without os.chdir (Path(__file__).parent)"
-            )
 
 
 def _current_folder() -> str | None:

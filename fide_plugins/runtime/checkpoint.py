@@ -6,12 +6,9 @@ str, bool and None.  The file is
     magic (8 bytes) | version (u32) | length of body (u64) | BLAKE2b of body (32) | body
 
 in little endian.  The body is the length (u64) of a JSON tree, that tree, and the raw bytes of all
-arrays, each at an offset divisible by 64.  Numbers keep every bit: floats are stored as the 16
-hexadecimal digits of their IEEE 754 representation (so -0.0, infinities and the payload of a NaN
-survive), and integers have no limit (the state of a NumPy generator holds 128-bit integers).
-
-The file may come from an untrusted source: nothing in it is executed, and every length, shape and
-offset is checked against the size of the file before memory is allocated.
+arrays, each at an offset divisible by 64.  Floats are stored as their 16 hexadecimal digits, and
+integers have no limit.  The file may come from anybody: nothing in it is executed, and every
+length, shape and offset is checked against the size of the file before memory is allocated.
 """
 
 from __future__ import annotations
@@ -47,8 +44,8 @@ _DTYPE = re.compile(r"[<>|][biufc][0-9]{1,2}|[<>]U[0-9]{1,9}|\|S[0-9]{1,9}")
 def write(path: str | os.PathLike[str], kind: str, state: dict[str, Any]) -> None:
     """Write `state` to `path` atomically, marked as a checkpoint of this `kind`.
 
-    Raises TypeError, naming the place in the state, for a value of another type; OSError if the
-    file cannot be written.  In both cases an existing file at `path` stays as it was.
+    Raises, before an existing file changes, TypeError that names the place in the state of a value
+    of another type; OSError if the file cannot be written.
     """
     arrays: list[np.ndarray[Any, Any]] = []
     tree = {"kind": kind, "state": _encode(state, "state", arrays)}
@@ -58,7 +55,8 @@ def write(path: str | os.PathLike[str], kind: str, state: dict[str, Any]) -> Non
     position = _LENGTH.size + len(text)
     for array in arrays:
         padding = -position % _ALIGNMENT
-        parts += [bytes(padding), _raw(array)]
+        raw = array.reshape(-1).view(np.uint8).data if array.nbytes else b""  # without a copy
+        parts += [bytes(padding), raw]
         position += padding + array.nbytes
     digest = hashlib.blake2b(digest_size=32)
     for part in parts:
@@ -103,13 +101,17 @@ def _refuse(name: str, why: str, remedy: str = "start again, or use an earlier c
 
 
 def _body(name: str) -> memoryview:
-    """Body of the file, after checks of magic, version, length and checksum.
-
-    Reads the body only if the header is valid.
-    """
+    """Body of the file, after checks of magic, version, length and checksum."""
     with open_regular(name) as file:
         header, size = file.read(_HEADER.size), os.fstat(file.fileno()).st_size - _HEADER.size
-        length, checksum = _header(name, header)
+        if header[: len(_MAGIC)] != _MAGIC[: len(header)]:
+            _refuse(name, "it is not a FIDE checkpoint", "name a file that `save` wrote")
+        if len(header) < _HEADER.size:
+            _refuse(name, f"it was cut short after {len(header)} bytes")
+        _, version, length, checksum = _HEADER.unpack(header)
+        if version != VERSION:
+            remedy = "load it with the version of the library that wrote it"
+            _refuse(name, f"its format is version {version} and this is {VERSION}", remedy)
         if size < length:
             _refuse(name, f"it was cut short: {size} of {length} bytes are there")
         if size > length:
@@ -118,19 +120,6 @@ def _body(name: str) -> memoryview:
     if hashlib.blake2b(body, digest_size=32).digest() != checksum:
         _refuse(name, "its checksum is wrong, so some of its bytes were changed")
     return body
-
-
-def _header(name: str, header: bytes) -> tuple[int, bytes]:
-    """Length and checksum of the body."""
-    if header[: len(_MAGIC)] != _MAGIC[: len(header)]:
-        _refuse(name, "it is not a FIDE checkpoint", "name a file that `save` wrote")
-    if len(header) < _HEADER.size:
-        _refuse(name, f"it was cut short after {len(header)} bytes")
-    _, version, length, checksum = _HEADER.unpack(header)
-    if version != VERSION:
-        remedy = "load it with the version of the library that wrote it"
-        _refuse(name, f"its format is version {version} and this is {VERSION}", remedy)
-    return length, checksum
 
 
 def _arrays(
@@ -156,18 +145,13 @@ def _arrays(
     return arrays
 
 
-def _raw(array: np.ndarray[Any, Any]) -> memoryview:
-    """Bytes of a C-contiguous array, without a copy."""
-    return array.reshape(-1).view(np.uint8).data if array.nbytes else memoryview(b"")
-
-
 def _encode(value: Any, place: str, arrays: list[np.ndarray[Any, Any]]) -> Any:
     """`value` as JSON; arrays are appended to `arrays` and represented by their index.
 
     None, bool, str and 64-bit ints represent themselves; everything else is a tagged list.
     """
     if isinstance(value, np.generic):
-        value = _scalar(value, place)
+        value = value.item()  # which is no number where NumPy's has no counterpart
     if value is None or isinstance(value, bool | str):
         return str(value) if isinstance(value, str) else value
     if isinstance(value, int):
@@ -184,14 +168,6 @@ def _encode(value: Any, place: str, arrays: list[np.ndarray[Any, Any]]) -> Any:
         return ["l", [_encode(v, f"{place}[{i}]", arrays) for i, v in enumerate(value)]]
     arrays.append(_array(value, place))
     return ["a", len(arrays) - 1]
-
-
-def _scalar(value: np.generic, place: str) -> bool | int | float | str:
-    """A NumPy scalar as the Python scalar of the same value."""
-    item = value.item()
-    if isinstance(item, bool | int | float | str):
-        return item
-    raise TypeError(f"{place}: a checkpoint cannot hold a {type(value).__name__}; make it an array")
 
 
 def _array(value: Any, place: str) -> np.ndarray[Any, Any]:

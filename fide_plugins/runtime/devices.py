@@ -24,12 +24,8 @@ def resolve_device(
     """Device of that name; a CUDA device without a number is the current one.
 
     ``"auto"`` is CUDA if it is available and a network computes there (`for_network`), otherwise
-    the CPU: features that NumPy needs after a few steps are computed faster where the images are.
-
-    Raises
-    ------
-    DeviceError
-        PyTorch does not know the name, or this machine has no such device.
+    the CPU.  Raises DeviceError for a name that PyTorch does not know, and a device that is not
+    there.
     """
     if isinstance(device, str) and device == "auto":
         device = "cuda" if for_network and torch.cuda.is_available() else "cpu"
@@ -71,9 +67,7 @@ def on_current_stream(device: torch.device) -> Callable[[], AbstractContextManag
 def repeatable(device: torch.device) -> Iterator[None]:
     """Context in which the gradients of convolutions are the same every time, on a GPU, too.
 
-    Otherwise cuDNN may choose by time, and add in another order each time.  The settings are
-    PyTorch's, for the process; they are as before afterwards, so threads that need a GPU for this
-    take turns.
+    Otherwise cuDNN may choose by time.  The settings are the process's: threads take turns.
     """
     if device.type != "cuda":
         yield
@@ -106,8 +100,7 @@ def has_bfloat16(device: torch.device) -> bool:
 
 # -- batch sizes that shrink if a device runs out of memory ----------------------------------------
 
-# Messages of PyTorch about the memory of the CPU, and of it and libraries that it calls about a
-# GPU; they come in a plain RuntimeError.
+# Messages of PyTorch and of libraries that it calls, in a plain RuntimeError.
 _OF_CPU = ("can't allocate memory", "not enough memory")
 _OF_GPU = ("out of memory", "ALLOC_FAILED")
 
@@ -186,11 +179,9 @@ class BatchSize:
 
 # -- batches of a fixed size -----------------------------------------------------------------------
 #
-# Matrix products of different shapes may sum in different orders.  With a variable batch size, the
-# last bits of an image's features would depend on the number of images in the batch, and a run on
-# the pieces in which results are told.  A single image costs as much as a full batch, so batches on
-# a CPU are small: with twice as many, a small vision transformer would need an eighth less time for
-# each 112 x 112 image, but nearly twice the time for a single one.
+# Matrix products of different shapes may sum in different orders: with a variable batch size, the
+# last bits of an image's features would depend on the pieces in which results are told.  A single
+# image costs as much as a full batch, so batches on a CPU are small.
 
 _PIXELS = 2 * 112 * 112  # pixels of a batch on a CPU; larger batches are little faster
 _ON_GPU = 64  # times as many pixels and images on a GPU
@@ -211,10 +202,8 @@ def in_batches(network: Callable[[Tensor], Tensor], images: Tensor, size: int) -
     results = []
     for start in range(0, max(len(images), 1), size):
         piece = images[start : start + size]
-        missing = size - len(piece)
-        padded = piece
-        if missing:
-            padded = torch.cat([piece, piece.new_zeros(missing, *piece.shape[1:])])
+        padding = piece.new_zeros(size - len(piece), *piece.shape[1:])
+        padded = torch.cat([piece, padding]) if len(padding) else piece
         results.append(network(padded)[: len(piece)])
     return torch.cat(results)
 

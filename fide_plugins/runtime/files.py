@@ -1,9 +1,4 @@
-"""Atomic writes, reading of files that may be anybody's, and file locks.
-
-The library writes all files with :func:`atomic_writer`: the bytes go to a temporary file in the
-same folder, are flushed to the disk, and the file is renamed to its final name.  A reader, or the
-next process after a kill, sees the old file or the new file, never a part of either.
-"""
+"""Atomic writes, reading of files that may be anybody's, and file locks."""
 
 from __future__ import annotations
 
@@ -17,7 +12,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
-from weakref import WeakSet
 
 try:
     import fcntl
@@ -43,6 +37,9 @@ class RefusedFileError(OSError):
 def atomic_writer(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
     """Open a binary file that replaces `path` when the block ends without an error.
 
+    The bytes go to a temporary file in the same folder, are flushed to the disk, and the file is
+    renamed: a reader, or the next process after a kill, sees the old file or the new one.
+
     Raises OSError, naming `path`, if its folder is missing or not writable, or if the disk is
     full; `path` then stays as it was.
     """
@@ -65,9 +62,7 @@ def atomic_writer(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
         if not isinstance(error, OSError) or error.errno is None:
             raise
         full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-        remedy = (
-            "make room, or name another folder" if full else "name a folder that can be written"
-        )
+        remedy = "make room, or name another" if full else "name a folder that can be written"
         message = f"cannot write {final}: {error.strerror}; {remedy}"
         raise type(error)(error.errno, message) from error
 
@@ -146,8 +141,8 @@ def remove_leftovers(
 ) -> None:
     """Remove temporary files that a killed process left in `folder`.
 
-    age: seconds since they were last written, at least, where others may be writing; 0: whatever.
-    mine: whether a file of that name is written by nobody else now.
+    age: seconds since they were last written, at least.  mine: whether nobody else writes a file of
+    that name now.
     """
     for leftover in Path(folder).glob(f".*{_SUFFIX}"):
         with suppress(OSError):
@@ -177,25 +172,22 @@ def locked(
 ) -> Iterator[bool]:
     """Lock the file `path`, made if it is missing; yields whether this process holds the lock.
 
-    wait: wait until no other process holds the lock, and yield True.
-    remove: remove the file at the end.
-
-    The system releases the lock when a process ends, however it ends; processes that it has forked
-    do not hold it.  Where there are no such locks (Windows, some network file systems) the result
-    is always True.
+    wait: wait for it.  remove: remove the file at the end.  The system releases the lock when a
+    process ends, however; processes that it has forked do not hold it.  Where there are no such
+    locks (Windows, some network file systems) the result is always True.
     """
     if fcntl is None:
         yield True
         return
-    file = _lock(path, wait)
+    descriptor = _lock(path, wait)
     try:
-        yield file is not None
+        yield descriptor is not None
     finally:
-        if file is not None:
-            if remove and file.is_at(path):
+        if descriptor is not None:
+            if remove and _is_at(path, descriptor):
                 with suppress(OSError):
                     os.unlink(path)
-            file.close()
+            _release(descriptor)
 
 
 def is_locked(path: str | os.PathLike[str]) -> bool | None:
@@ -218,69 +210,53 @@ def is_locked(path: str | os.PathLike[str]) -> bool | None:
         os.close(descriptor)
 
 
-class _LockFile:
-    """An open file with its lock; closed in a forked process, whose parent has the lock."""
-
-    def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.descriptor: int | None = _open_to_lock(path)
-        _LOCK_FILES.add(self)
-
-    def is_at(self, path: str | os.PathLike[str]) -> bool:
-        """Whether it is the file at `path`, and not one that was removed meanwhile."""
-        try:
-            return self.descriptor is not None and os.path.samestat(
-                os.fstat(self.descriptor), os.stat(path)
-            )
-        except FileNotFoundError:
-            return False
-
-    def close(self) -> None:
-        """Close it, which frees the lock unless another process has the same open file."""
-        if self.descriptor is not None:
-            os.close(self.descriptor)
-            self.descriptor = None
-
-
-_LOCK_FILES: WeakSet[_LockFile] = WeakSet()
+_HELD: set[int] = set()  # descriptors of the locks of this process
 
 
 def _close_all() -> None:
-    for file in list(_LOCK_FILES):
-        file.close()
+    while _HELD:
+        os.close(_HELD.pop())
 
 
 if hasattr(os, "register_at_fork"):  # not on Windows, which has no fork
     os.register_at_fork(after_in_child=_close_all)
 
 
-def _lock(path: str | os.PathLike[str], wait: bool) -> _LockFile | None:
-    """The locked file; None where another process holds the lock."""
+def _release(descriptor: int) -> None:
+    if descriptor in _HELD:  # not in a forked process, whose parent has the lock
+        _HELD.remove(descriptor)
+        os.close(descriptor)
+
+
+def _is_at(path: str | os.PathLike[str], descriptor: int) -> bool:
+    """Whether an open file of ours is the one at `path`, and not one that was removed meanwhile."""
+    try:
+        return descriptor in _HELD and os.path.samestat(os.fstat(descriptor), os.stat(path))
+    except FileNotFoundError:
+        return False
+
+
+def _lock(path: str | os.PathLike[str], wait: bool) -> int | None:
+    """Descriptor of the locked file; None where another process holds the lock."""
     assert fcntl is not None
-    retry = True
+    tries = 2  # for the moment in which `is_locked` has the lock
     while True:
-        file = _LockFile(path)
-        assert file.descriptor is not None
+        descriptor = os.open(path, os.O_CREAT | os.O_RDWR | _NO_LINKS, 0o666)
+        _HELD.add(descriptor)
         try:
-            fcntl.flock(file.descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
         except BaseException as error:
             number = error.errno if isinstance(error, OSError) else None
             if number in _NO_LOCKS:
-                return file
-            file.close()
+                return descriptor
+            _release(descriptor)
+            tries -= 1
             if number not in _OF_ANOTHER:
                 raise
-            if not retry:
+            if not tries:
                 return None
-            retry = False
             time.sleep(_MOMENT)
             continue
-        if file.is_at(path):
-            return file
-        file.close()  # who held the lock before has removed the file
-
-
-def _open_to_lock(path: str | os.PathLike[str]) -> int:
-    try:
-        return os.open(path, os.O_CREAT | os.O_RDWR | _NO_LINKS, 0o666)
-    except PermissionError:  # the file of another user, in a folder of several
-        return os.open(path, os.O_RDONLY | os.O_NONBLOCK | _NO_LINKS)
+        if _is_at(path, descriptor):
+            return descriptor
+        _release(descriptor)  # who held the lock before has removed the file

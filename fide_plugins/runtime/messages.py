@@ -1,9 +1,4 @@
-"""Words of messages, and warnings that name the line of the user.
-
-A fixed `stacklevel` names another line as soon as a function is called in two ways, or through a
-decorator: one that is a context manager has a frame of its own, in contextlib.py or in PyTorch.
-Optuna and Nevergrad call this library for the user, whose line is the one that called them.
-"""
+"""Words of messages, and warnings that name the line of the user."""
 
 from __future__ import annotations
 

@@ -1,10 +1,7 @@
 """What users name or hand over: factories by name, attributes of their files, their functions.
 
-- `Registry`: encoders, losses and optimizers by name;
-- `Referent`: an attribute of a user's file or module, ``FILE.py:NAME`` or ``module:NAME``;
-- fingerprints, each with its kind, such as "file:0123456789abcdef": a renderer is known again by a
-  version, which the user states, or else by a fingerprint of its source, since a model that was
-  learned of another renderer is of little use.
+A renderer is known again by a version, which the user states, or else by a fingerprint of its
+source with its kind, such as "file:0123456789abcdef".
 """
 
 from __future__ import annotations
@@ -40,13 +37,6 @@ class Registry(Generic[T]):
     also accepts ``"name:variant"``.
 
     kind: what they make, for errors.  patterns: names that somebody else understands, for errors.
-
-    >>> shapes = Registry[str]("shape")
-    >>> shapes.register("line", lambda n: "-" * n)
-    >>> shapes.names()
-    ['line']
-    >>> shapes.make("line", 3)
-    '---'
     """
 
     def __init__(self, kind: str, patterns: Sequence[str] = ()) -> None:
@@ -55,8 +45,7 @@ class Registry(Generic[T]):
 
     def register(self, name: str, factory: Callable[..., T] | str) -> None:
         """Add `factory` under `name`, or replace the factory of that name."""
-        sound = isinstance(name, str) and name.isprintable() and name.strip() and ":" not in name
-        if not sound:
+        if not (isinstance(name, str) and name.isprintable() and name.strip() and ":" not in name):
             raise OptionError(
                 f"the name of a {self._kind} is a printable string without a colon, got {name!r}"
             )
@@ -75,7 +64,8 @@ class Registry(Generic[T]):
         """Return the factory called `name`; raises `UnknownNameError` if there is none."""
         factory = self._factories.get(name) if isinstance(name, str) else None
         if factory is None:
-            raise self._unknown(name)
+            known = [*self._factories, *self._patterns]
+            raise UnknownNameError.of(self._kind, name, known)
         if isinstance(factory, str):
             module, attribute = factory.split(":")
             imported: Callable[..., T] = getattr(import_module(module), attribute)
@@ -96,19 +86,12 @@ class Registry(Generic[T]):
         Raises UnknownNameError, OptionError for an option or a variant that it does not have, and
         what the factory raises.
         """
-        if not isinstance(name, str):
-            raise self._unknown(name)
-        name, colon, variant = name.partition(":")
-        factory = self.resolve(name)
-        self._check(name, factory, len(args), options)
-        if not colon:
-            return factory(*args, **options)
-        if not self.takes(name, "variant"):
-            raise OptionError(f"the {self._kind} {name!r} has no variants, got {name}:{variant}")
-        return factory(*args, variant=variant, **options)
-
-    def _unknown(self, name: object) -> UnknownNameError:
-        return UnknownNameError.of(self._kind, name, [*self._factories, *self._patterns])
+        first, colon, variant = name.partition(":") if isinstance(name, str) else (name, "", "")
+        factory = self.resolve(first)
+        self._check(first, factory, len(args), options)
+        if colon and not self.takes(first, "variant"):
+            raise OptionError(f"the {self._kind} {first!r} has no variants, got {name}")
+        return factory(*args, **({"variant": variant} if colon else {}), **options)
 
     def _check(
         self, name: str, factory: Callable[..., T], n: int, options: dict[str, object]
@@ -122,8 +105,7 @@ class Registry(Generic[T]):
             return
         named = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
         known = [p.name for p in parameters[n:] if p.kind in named]
-        unknown = sorted(options.keys() - set(known))
-        if unknown:
+        if unknown := sorted(options.keys() - set(known)):
             raise OptionError(
                 f"the {self._kind} {name!r} has no option {unknown[0]!r}; it has: "
                 f"{', '.join(known) or 'none'}"
@@ -144,11 +126,8 @@ def is_reference(text: str) -> bool:
 class Referent:
     """What references are to, by words for errors, and how to follow them.
 
-    name: such as "renderer"; word, plural: what it is in Python, such as "function".
-    rule: what it must be.
-    form: how to write a reference, with an example.
-
-    All errors are OptionErrors (a ValueError).
+    name: such as "renderer"; word, plural: what it is in Python, such as "function".  rule: what it
+    must be.  form: how to write a reference, with an example.  All errors are OptionErrors.
     """
 
     name: str
@@ -168,12 +147,7 @@ class Referent:
         raise OptionError(f"no {self.name} {reference!r}; {self.form}")
 
     def load(self, place: str) -> ModuleType:
-        """Module in a file, or by its name; loaded once a process.
-
-        The folder of a file becomes the first in the search path for modules, as by
-        ``python FILE.py``.  Modules are also searched in the current folder.  The error for a
-        module that raises an exception shows its traceback.
-        """
+        """Module in a file, or by its name; loaded once a process, see `FunctionRenderer`."""
         module = self._execute(place) if place.endswith(".py") else self._import(place)
         if module not in _FINGERPRINTS:  # at once: the file may be edited while this process runs
             file = getattr(module, "__file__", None)
@@ -182,16 +156,14 @@ class Referent:
 
     def attribute(self, module: ModuleType, place: str, name: str) -> Callable[..., Any]:
         """Callable `name` of the module at `place`."""
-        if not hasattr(module, name):
-            hint = did_you_mean(name, _functions(module))
-            raise OptionError(f"{place} has no {name!r}; {self._names(module)}{hint}")
-        found: Any = getattr(module, name)
-        if not callable(found):
-            raise OptionError(
-                f"{name!r} in {place} is {type(found).__name__}, not {self.rule}; "
-                f"{self._names(module)}"
-            )
-        return found  # type: ignore[no-any-return]
+        found: Any = getattr(module, name, None)
+        if callable(found):
+            return found  # type: ignore[no-any-return]
+        wrong = f"{place} has no {name!r}"
+        if hasattr(module, name):
+            wrong = f"{name!r} in {place} is {type(found).__name__}, not {self.rule}"
+        hint = did_you_mean(name, _functions(module))
+        raise OptionError(f"{wrong}; {self._names(module)}{hint}")
 
     def _execute(self, place: str) -> ModuleType:
         path = os.path.abspath(place)
@@ -199,7 +171,9 @@ class Referent:
         if name in sys.modules:
             return sys.modules[name]
         if not os.path.isfile(path):
-            raise OptionError(f"no file {place!r}{_similar_files(path)}; {self.form}")
+            files = [file.name for file in Path(path).parent.glob("*.py")]
+            hint = did_you_mean(os.path.basename(path), files)
+            raise OptionError(f"no file {place!r}{hint}; {self.form}")
         spec = spec_from_file_location(name, path)
         assert spec is not None and spec.loader is not None, "a file that ends with .py"
         module = module_from_spec(spec)
@@ -264,12 +238,6 @@ def _functions(module: ModuleType) -> list[str]:
         and callable(value)
         and getattr(value, "__module__", None) == module.__name__
     ]
-
-
-def _similar_files(path: str) -> str:
-    folder = os.path.dirname(path)
-    files = [p.name for p in Path(folder).glob("*.py")] if os.path.isdir(folder) else []
-    return did_you_mean(os.path.basename(path), files)
 
 
 # -- functions of images, tried before anything depends on them ------------------------------------
@@ -343,10 +311,9 @@ def changed(one: str | None, other: str | None) -> bool:
 
 
 def version_of(render: object) -> str | None:
-    """Version that a renderer states: the attribute `version` of the function or the object.
+    """Version that a renderer states by its attribute `version`; None where it states none.
 
-    None: it states none.  A method of that name states none, either.  Raises OptionError for
-    anything else than a text, so that nobody relies on a version that would not count.
+    A method of that name states none, either.  Raises OptionError for anything else than a text.
     """
     own = getattr(render, "version", None)
     return None if callable(own) else check_version(own, f"the version of {own_name(render)}")
@@ -362,8 +329,7 @@ def check_version(version: object, what: str) -> str | None:
 def fingerprint_of(render: object) -> str | None:
     """Kind and digest of what a renderer says of itself, or of the source of a function.
 
-    That of a `FunctionRenderer` is of its file, that of a `CommandRenderer` of its command lines;
-    what a file imports, and what a program reads, is not known.  None: nothing is known.
+    What a file imports, and what a program reads, is not known.  None: nothing is known.
     """
     own = getattr(render, "fingerprint", None)
     if own is None and inspect.isfunction(render):

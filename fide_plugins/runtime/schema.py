@@ -1,10 +1,8 @@
 """Schemas: types, ranges and shapes of a state that was read from a file.
 
 A checkpoint with a valid checksum may still hold anything, since anybody can write one.  A *schema*
-is a nested dict like the state, with a rule at each leaf.  `check` compares the two before the
-state is used, and raises ValueError with the place of the first entry that breaks its rule.  Sides
-of arrays have names.  A name stands for the same number wherever it appears: arrays ("n", "d") and
-("n",) have the same number of rows, and the caller may give the value of "d".
+is a nested dict like the state, with a rule at each leaf.  Sides of arrays have names, and a name
+stands for the same number wherever it appears.
 
     >>> check({"x": np.zeros((3, 2)), "n": 3}, {"x": array("n", "d"), "n": whole()}, {"d": 2})
     >>> check({"x": np.zeros((3, 2)), "n": 3}, {"x": array("n", "n"), "n": whole()}, {})
@@ -65,6 +63,13 @@ def values(instance: Any) -> dict[str, Any]:
     return {name: getattr(instance, name) for name in form(type(instance))}
 
 
+def packed(value: Any) -> Any:
+    """A part, or a list of them, as plain values, by `state_dict`; anything else as it is."""
+    if isinstance(value, list | tuple):
+        return [packed(one) for one in value]
+    return value.state_dict() if hasattr(value, "state_dict") else value
+
+
 class Stateful:
     """An object that saves those of its attributes that are in SCHEMA.
 
@@ -74,54 +79,67 @@ class Stateful:
     SCHEMA: ClassVar[dict[str, Schema]]
 
     def state_dict(self) -> dict[str, Any]:
-        """All that changes, those values in use, not copies."""
-        return {name: getattr(self, self._attribute(name)) for name in self.SCHEMA}
+        """All that changes, those values in use, not copies; parts by their own `state_dict`."""
+        return {name: packed(getattr(self, self._attribute(name))) for name in self.SCHEMA}
 
-    def load_state_dict(self, state: Mapping[str, Any], sides: Sides | None = None) -> None:
+    def load_state_dict(
+        self, state: Mapping[str, Any], sides: Sides | None = None, device: Any = None
+    ) -> None:
         """Put back what `state_dict` gave; ValueError for what it cannot have given.
 
         sides: of arrays, by their names in the schema, as far as they are known.
+        device: of tensors in parts that have some.
         """
-        check(state, self.SCHEMA, dict(sides or {}), type(self).__name__.lower())
+        check(state, self.SCHEMA, {**(sides or {}), **self._sides()}, type(self).__name__.lower())
         for name in self.SCHEMA:
-            setattr(self, self._attribute(name), state[name])
+            part = getattr(self, self._attribute(name))
+            if hasattr(part, "load_state_dict"):
+                part.load_state_dict(state[name], sides, device)
+            else:
+                setattr(self, self._attribute(name), state[name])
+
+    def _sides(self) -> Sides:
+        """Sides that this object knows."""
+        return {}
 
     def _attribute(self, name: str) -> str:
         return f"_{name}" if hasattr(self, f"_{name}") else name
 
 
+# -- rules -----------------------------------------------------------------------------------------
+
+
+def _demand(sound: bool, place: str, otherwise: str) -> None:
+    if not sound:
+        raise ValueError(f"{place} {otherwise}")
+
+
+def _rule(sound: Callable[[Any], bool], otherwise: str) -> Rule:
+    return lambda value, place, sides: _demand(sound(value), place, otherwise)
+
+
+def _is_number(value: Any, kinds: Any, low: float, high: float) -> bool:
+    return isinstance(value, kinds) and not isinstance(value, bool) and low <= value <= high
+
+
 def whole(low: int = 0, high: int = 2**63) -> Rule:
     """An int within [low, high]."""
-
-    def rule(value: Any, place: str, sides: Sides) -> None:
-        sound = isinstance(value, int) and not isinstance(value, bool)
-        _demand(sound and low <= value <= high, place, f"is no whole number in [{low}, {high}]")
-
-    return rule
+    return _rule(lambda v: _is_number(v, int, low, high), f"is no whole number in [{low}, {high}]")
 
 
 def real(low: float = -_LARGEST, high: float = _LARGEST) -> Rule:
     """A number within [low, high]."""
-
-    def rule(value: Any, place: str, sides: Sides) -> None:
-        sound = isinstance(value, int | float) and not isinstance(value, bool)
-        _demand(sound and low <= value <= high, place, f"is no number in [{low}, {high}]")
-
-    return rule
+    return _rule(
+        lambda v: _is_number(v, int | float, low, high), f"is no number in [{low}, {high}]"
+    )
 
 
 def anything(value: Any, place: str, sides: Sides) -> None:
     """Any value: for a component that checks its own state."""
 
 
-def flag(value: Any, place: str, sides: Sides) -> None:
-    """True or False."""
-    _demand(isinstance(value, bool), place, "is neither True nor False")
-
-
-def text(value: Any, place: str, sides: Sides) -> None:
-    """A string."""
-    _demand(isinstance(value, str), place, "is no text")
+flag = _rule(lambda v: isinstance(v, bool), "is neither True nor False")
+text = _rule(lambda v: isinstance(v, str), "is no text")
 
 
 def array(
@@ -152,6 +170,11 @@ def array(
     return rule
 
 
+def _on_this_machine(value: Any) -> Any:
+    """Tensors as arrays: a state that was never in a file may hold tensors."""
+    return value.detach().cpu().numpy() if hasattr(value, "detach") else value
+
+
 def numbers(value: Any, place: str, sides: Sides) -> None:
     """An array of finite numbers of any shape."""
     value = _on_this_machine(value)
@@ -171,12 +194,7 @@ def side(name: str) -> Rule:
 
 def maybe(schema: Schema) -> Rule:
     """None, or a value with this schema."""
-
-    def rule(value: Any, place: str, sides: Sides) -> None:
-        if value is not None:
-            check(value, schema, sides, place)
-
-    return rule
+    return lambda value, place, sides: None if value is None else check(value, schema, sides, place)
 
 
 def each(schema: Schema) -> Rule:
@@ -196,8 +214,8 @@ def row(*schemas: Schema) -> Rule:
     def rule(value: Any, place: str, sides: Sides) -> None:
         sound = isinstance(value, list) and len(value) == len(schemas)
         _demand(sound, place, f"is no list of {len(schemas)} entries")
-        for i, (entry, schema) in enumerate(zip(value, schemas, strict=True)):
-            check(entry, schema, sides, f"{place}[{i}]")
+        for i, schema in enumerate(schemas):
+            check(value[i], schema, sides, f"{place}[{i}]")
 
     return rule
 
@@ -211,16 +229,6 @@ def table(schema: Schema) -> Rule:
             check(entry, schema, sides, f"{place}[{name!r}]")
 
     return rule
-
-
-def _on_this_machine(value: Any) -> Any:
-    """Tensors as arrays: a state that was never in a file may hold tensors."""
-    return value.detach().cpu().numpy() if hasattr(value, "detach") else value
-
-
-def _demand(sound: bool, place: str, otherwise: str) -> None:
-    if not sound:
-        raise ValueError(f"{place} {otherwise}")
 
 
 GENERATOR: Schema = {

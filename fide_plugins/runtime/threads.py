@@ -1,24 +1,14 @@
 """Threads: how many compute, locks, work in the background, and what a fork leaves of them.
 
-Most of what FIDE computes is small: products of matrices with a few hundred rows, images of 112 x
-112 pixels.  Several threads do it more slowly than one: they wait for each other by spinning, and
-OpenMP's (PyTorch) and OpenBLAS's (NumPy, SciPy) spin on the same cores.  So the small parts compute
-in one thread: within `one_thread`.  Networks, and functions of the user's that FIDE calls, compute
-in as many threads as the user has set, or the libraries by default: within `user_threads`.  Both
-are context managers and decorators, and may be nested.  So a run without a network is the same, bit
-for bit, whatever number of threads is set.
+Most of what FIDE computes is small, and several threads do it more slowly than one.  So the small
+parts compute in one thread, within `one_thread`; networks, and functions of the user's, in as many
+threads as the user has set, within `user_threads`.  A run without a network is the same, bit for
+bit, whatever number of threads is set.  OpenMP and MKL have one setting for each thread.  OpenBLAS
+has one for the process: the first thread that enters limits it, the last one that leaves restores.
 
-OpenMP and MKL have one setting for each thread, so other threads keep theirs.  OpenBLAS has one for
-the process: the first thread that enters limits it, the last one that leaves restores it, and what
-the user's other threads compute with NumPy in between is computed in one thread, too.
-
-A forked process has one thread only, and the locks and half-done work of the others:
-
-- its first parallel loop would wait for OpenMP's threads for ever, so `user_threads` is one thread
-  there; what else the user's child computes keeps its setting;
-- a `Lock` is free there;
-- `Background` work is waited for before the fork, and so are the ends of its thread and of those
-  that it made: MKL gives their memory back then, under a lock that nobody would open in the child.
+A forked process has one thread only.  OpenMP's would be waited for for ever, so `user_threads` is
+one thread there; a `Lock` is free there; `Background` work is waited for before the fork, and so
+are the ends of its threads: MKL gives their memory back then, under a lock that nobody would open.
 """
 
 from __future__ import annotations
@@ -33,20 +23,17 @@ from contextlib import ContextDecorator, suppress
 from functools import partial, wraps
 from itertools import product
 from pathlib import Path
-from typing import Any, Concatenate, NamedTuple, ParamSpec, Protocol, TypeVar
+from typing import Any, NamedTuple, TypeVar, cast
 from weakref import WeakSet
 
-_LIBRARIES = ("numpy", "scipy.linalg", "torch")
-"""Modules that load libraries with threads of their own, each at another time or never."""
-_AFFIXES = tuple(product(("", "scipy_"), ("", "64_", "_64")))
-"""What distributions of OpenBLAS put before and after the names of its functions."""
+_LIBRARIES = ("numpy", "scipy.linalg", "torch")  # whose threads are limited, where they are loaded
+_AFFIXES = tuple(product(("", "scipy_"), ("", "64_", "_64")))  # of OpenBLAS's functions
 
 
 class _Pool(NamedTuple):
     """The threads of one library."""
 
-    limit: Callable[[], int]
-    """Compute in one thread from now on; returns what `restore` needs."""
+    limit: Callable[[], int]  # compute in one thread; returns what `restore` needs
     restore: Callable[[int], object]
 
 
@@ -54,7 +41,6 @@ class _Pools(NamedTuple):
     """Those of all libraries that are loaded."""
 
     loaded: tuple[bool, ...] = ()
-    """Which of `_LIBRARIES` were, when they were looked for."""
     by_thread: tuple[_Pool, ...] = ()
     by_process: tuple[_Pool, ...] = ()
 
@@ -70,12 +56,11 @@ class _Thread(threading.local):
 class _Process:
     """State that all threads share."""
 
-    def __init__(self) -> None:
-        self.lock = threading.Lock()
-        self.pools = _Pools()
-        self.inside = 0  # threads that compute in one thread
-        self.before: tuple[tuple[_Pool, int], ...] = ()
-        self.forked = False
+    lock = threading.Lock()
+    pools = _Pools()
+    inside = 0  # threads that compute in one thread
+    before: tuple[tuple[_Pool, int], ...] = ()
+    forked = False
 
 
 _THREAD, _PROCESS = _Thread(), _Process()
@@ -99,11 +84,10 @@ class _UserThreads(ContextDecorator):
     """Within it the calling thread has what it has outside all blocks of `one_thread`."""
 
     def __enter__(self) -> None:
+        _THREAD.outer += (-1 if _PROCESS.forked else _THREAD.depth,)
         if _PROCESS.forked:
-            _THREAD.outer += (-1,)
             one_thread.__enter__()
             return
-        _THREAD.outer += (_THREAD.depth,)
         if _THREAD.depth:
             _restore()
         _THREAD.depth = 0
@@ -133,19 +117,17 @@ def _limit() -> None:
 
 
 def _restore() -> None:
-    for pool, before in _THREAD.before:
-        pool.restore(before)
-    _THREAD.before = ()
+    _put_back(_THREAD)
     with _PROCESS.lock:
         _PROCESS.inside -= 1
         if _PROCESS.inside == 0:
-            _restore_process()
+            _put_back(_PROCESS)
 
 
-def _restore_process() -> None:
-    for pool, before in _PROCESS.before:
+def _put_back(state: _Thread | _Process) -> None:
+    for pool, before in state.before:
         pool.restore(before)
-    _PROCESS.before = ()
+    state.before = ()
 
 
 # -- the libraries ---------------------------------------------------------------------------------
@@ -164,12 +146,13 @@ def _pools() -> _Pools:
 def _find(loaded: tuple[bool, ...]) -> _Pools:
     from threadpoolctl import ThreadpoolController
 
-    by_thread, by_process = list(_mkl_of_torch()), []
+    by_thread, by_process = _mkl_of_torch(), []
     for library in ThreadpoolController().lib_controllers:
         functions, kind = library.dynlib, library.internal_api
         if kind == "openmp":
-            number = functions.omp_get_max_threads, functions.omp_set_num_threads
-            by_thread.append(_numbered(*number))
+            by_thread.append(
+                _numbered(functions.omp_get_max_threads, functions.omp_set_num_threads)
+            )
         elif kind == "mkl":
             by_thread.append(_mkl(functions))
         elif kind == "openblas":
@@ -188,11 +171,7 @@ def _numbered(get: Callable[[], int], put: Callable[[int], object]) -> _Pool:
             put(1)
         return before
 
-    def restore(before: int) -> None:
-        if before != 1:
-            put(before)
-
-    return _Pool(limit, restore)
+    return _Pool(limit, lambda before: before != 1 and put(before))
 
 
 def _mkl(functions: Any) -> _Pool:
@@ -205,10 +184,8 @@ def _mkl_of_torch() -> list[_Pool]:
     """The MKL within PyTorch, which threadpoolctl does not know of; it does not follow OpenMP."""
     torch = sys.modules.get("torch")
     for path in [] if torch is None else Path(torch.__path__[0], "lib").glob("libtorch_cpu.*"):
-        try:
+        with suppress(OSError, AttributeError):  # another build, without MKL
             return [_mkl(ctypes.CDLL(str(path)))]
-        except (OSError, AttributeError):  # another build, without MKL
-            continue
     return []
 
 
@@ -229,16 +206,11 @@ def _openblas(library: Any) -> list[_Pool]:
 
 # -- locks -----------------------------------------------------------------------------------------
 
-P = ParamSpec("P")
-T = TypeVar("T")
+F = TypeVar("F", bound=Callable[..., Any])
 
 
 class Lock:
-    """A reentrant lock for ``with``; a copy of it, or the lock in a forked process, is free.
-
-    Work of another thread may be half done in a forked child; the lock does not wait for a thread
-    that does not exist there.
-    """
+    """A reentrant lock for ``with``; a copy of it, or the lock in a forked process, is free."""
 
     def __init__(self) -> None:
         self.renew()
@@ -261,24 +233,15 @@ class Lock:
 _LOCKS: WeakSet[Lock] = WeakSet()
 
 
-class Locked(Protocol):
-    """An object with a lock."""
-
-    _lock: Lock
-
-
-S = TypeVar("S", bound=Locked)
-
-
-def one_at_a_time(method: Callable[Concatenate[S, P], T]) -> Callable[Concatenate[S, P], T]:
-    """Decorate a method: one thread at a time runs decorated methods of the same object."""
+def one_at_a_time(method: F) -> F:
+    """Decorate a method: one thread at a time runs those of an object, by its `Lock` `_lock`."""
 
     @wraps(method)
-    def locked(self: S, /, *args: P.args, **kwargs: P.kwargs) -> T:
+    def locked(self: Any, /, *args: Any, **kwargs: Any) -> Any:
         with self._lock:
             return method(self, *args, **kwargs)
 
-    return locked
+    return cast(F, locked)
 
 
 # -- work in the background ------------------------------------------------------------------------
@@ -288,7 +251,7 @@ class Background:
     """Runs one piece of work at a time in a background thread."""
 
     def __init__(self) -> None:
-        self._work: _Work | None = None
+        self._work: tuple[threading.Thread, threading.Event] | None = None  # set when it is done
         self._error: BaseException | None = None
         with _START:
             _BACKGROUNDS.add(self)
@@ -297,7 +260,7 @@ class Background:
     def busy(self) -> bool:
         """Whether work is running."""
         work = self._work
-        return work is not None and not work.done.is_set()
+        return work is not None and not work[1].is_set()
 
     def start(self, work: Callable[[], object], what: str) -> None:
         """Start `work` when the previous work is done; what: its description, for errors.
@@ -306,9 +269,11 @@ class Background:
         """
         self.join()
         error, self._error = self._error, None
+        done = threading.Event()
+        thread = threading.Thread(target=self._run, args=(work, what, done), name=what)
         with _START:  # no process is forked between the two
-            self._work = _Work(work, what, self._note)
-            self._work.begin()
+            thread.start()
+            self._work = thread, done
         if error is not None:
             raise error
 
@@ -322,60 +287,26 @@ class Background:
     def join(self) -> None:
         """Return when no work is running; keeps what the work raised for `wait`."""
         work = self._work
-        if work is not None and not work.is_current:
-            work.wait()  # Ctrl-C may interrupt it; the work then goes on
-            with _START:
-                if self._work is work:  # no other thread has started new work meanwhile
-                    self._work = None
+        if work is None or work[0] is threading.current_thread():
+            return
+        work[1].wait()  # Ctrl-C may interrupt it; `Thread.join` would take the thread for dead then
+        work[0].join()
+        with _START:
+            if self._work is work:  # no other thread has started new work meanwhile
+                self._work = None
 
-    def _note(self, error: BaseException) -> None:
-        self._error = error
-
-
-class _Work:
-    """A thread, and an event that is set at its end.
-
-    `Thread.join` alone takes a thread for dead once it was interrupted (python/cpython#90882).
-    """
-
-    def __init__(
-        self, work: Callable[[], object], what: str, failed: Callable[[BaseException], None]
-    ) -> None:
-        self._work, self._what, self._failed = work, what, failed
-        self.done = threading.Event()
-        self._thread = threading.Thread(target=self._run, name=what)
-
-    @property
-    def is_current(self) -> bool:
-        """Whether the current thread does this work."""
-        return self._thread is threading.current_thread()
-
-    def begin(self) -> None:
-        """Start the thread; raises RuntimeError if the system has no more threads."""
-        try:
-            self._thread.start()
-        except BaseException:
-            self.done.set()
-            raise
-
-    def wait(self) -> None:
-        """Return when the work is done and the thread has ended."""
-        self.done.wait()
-        if self._thread.ident is not None:  # the thread has started
-            self._thread.join()
-
-    def _run(self) -> None:
+    def _run(self, work: Callable[[], object], what: str, done: threading.Event) -> None:
         before = _threads()
         try:
-            self._work()
+            work()
         except BaseException as error:
-            error.add_note(f"raised in the background, by {self._what}")
-            self._failed(error)
+            error.add_note(f"raised in the background, by {what}")
+            self._error = error
         finally:
             now = _threads()
             _ENDING.intersection_update(now)
             _ENDING.update(now - before, {str(threading.get_native_id())})
-            self.done.set()
+            done.set()
 
 
 def _threads() -> set[str]:
@@ -412,7 +343,7 @@ def _after_fork_in_child() -> None:
     _PROCESS.lock, _PROCESS.forked = threading.Lock(), True
     _PROCESS.inside = min(_THREAD.depth, 1)  # of threads that were inside, only this one is left
     if not _PROCESS.inside:
-        _restore_process()
+        _put_back(_PROCESS)
 
 
 if hasattr(os, "register_at_fork"):  # not on Windows, which has no fork

@@ -1,31 +1,7 @@
 """CMA-ES that takes candidates it did not draw (*injected* candidates).
 
-Notation (Hansen 2016, "The CMA Evolution Strategy: A Tutorial", arXiv:1604.00772; its equation
-numbers stand beside the lines):
-
-=========  ======  ==============================================================
-symbol     shape   meaning
-=========  ======  ==============================================================
-m          (d,)    mean
-sigma      ()      step size
-C          (d, d)  shape of the distribution; Sigma = sigma^2 C
-p_sigma    (d,)    evolution path of the step size
-p_c        (d,)    evolution path of the covariance
-y          (k, d)  candidates as steps, (z - m) / sigma
-B, D       (d, d), (d,)   C = B diag(D^2) B^T
-=========  ======  ==============================================================
-
-Why not a library: `cmaes` and `cma` assume, or silently repair, candidates that are not theirs.
-Here proposals are injected: none until images agree with losses, then up to 30 % of a generation,
-which adapts to 5 to 80 % (`proposers.image_gate`); in preset "paper" always half of it.  Two rules
-make that safe, which that preset leaves out (`guard_search`): an injected step is cut to the length
-a sample may have (Hansen 2011, "Injecting External Solutions Into CMA-ES", arXiv:1110.4181, eq.
-3), and the mean standard deviation does not exceed the one the search began with (or a stated
-multiple), because good injected candidates make the step-size path long for a reason that is no
-reason to widen the search.  With nothing injected and no cap the numbers are those of `cmaes`
-(tested), up to dimensions of 4 k.  Beyond, C is decomposed only as often as it changes (section
-B.2), or when it was told of a candidate that no sample can be, and the step size follows
-`TwoPoint`.  Until a first candidate has a loss the search widens (`_widen`).
+m (d,), sigma, C (d, d), p_sigma and p_c (d,) and equation numbers are those of Hansen 2016, "The
+CMA Evolution Strategy: A Tutorial" (arXiv:1604.00772); C = B diag(D^2) B^T.
 """
 
 from __future__ import annotations
@@ -36,10 +12,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fide_plugins.runtime.schema import Schema, Stateful, array, check, maybe, real, side, whole
+from fide_plugins.runtime.schema import Schema, Sides, Stateful, anything, array, real, whole
 from fide_plugins.types import Float64, Mask
-
-__all__ = ["CMAES", "TwoPoint", "are_many", "default_popsize"]
 
 _MEMORY = 0.3  # weight of the newest comparison
 
@@ -91,19 +65,6 @@ _SMALLEST_SIGMA, _LARGEST_SIGMA = 1e-200, 1e32
 _SMALLEST_STD = 1e-14  # of the widest parameter; below it samples in a box of side 1 are all equal
 _FARTHEST = 2**10  # from 1 that the scale of C may drift
 _LARGEST_CONDITION = 1e14  # of C; beyond it eigenvectors are noise
-_SCHEMA: Schema = {
-    "mean": array("d", low=-1e60, high=1e60),
-    "sigma": real(1e-30, 1e32),
-    "C": array("d", "d", low=-1e12, high=1e12),
-    "p_sigma": array("d", low=-1e60, high=1e60),
-    "p_c": array("d", low=-1e60, high=1e60),
-    "generation": whole(),
-    "popsize": side("k"),
-    "largest_std": real(0.0, np.inf),
-    "B": array("d", "d", low=-1.01, high=1.01),
-    "D": array("d", low=1e-30, high=1e6),
-    "two_point": maybe(TwoPoint.SCHEMA),
-}
 _WIDE_ENOUGH = 1 / 3  # of the box, in which such samples are nearly uniform
 _OUTLIER = 10.0  # times the longest step that a sample may have; none ever is as long
 
@@ -121,8 +82,14 @@ def are_many(dim: int, popsize: int) -> bool:
     return dim > 4 * popsize
 
 
-class CMAES:
+class CMAES(Stateful):
     """N(m, sigma^2 C), refined by ranked candidates.
+
+    Libraries assume, or silently repair, candidates that are not theirs.  Two rules make injected
+    ones safe: their steps are cut to the length a sample may have (Hansen 2011, arXiv:1110.4181,
+    eq. 3), and the mean standard deviation does not exceed a limit.  With nothing injected and no
+    limit the numbers are those of `cmaes`, up to dimensions of 4 k.  Beyond, C is decomposed only
+    as often as it changes (section B.2), and the step size follows `TwoPoint`.
 
     mean: (d,), where the search begins.
     std: its standard deviation there; one number, or one for each parameter (d,).
@@ -130,6 +97,18 @@ class CMAES:
     widest: hold the mean standard deviation at or below so many times that of the beginning.
     """
 
+    SCHEMA: ClassVar[dict[str, Schema]] = {
+        "mean": array("d", low=-1e60, high=1e60),
+        "sigma": real(1e-30, 1e32),
+        "C": array("d", "d", low=-1e12, high=1e12),
+        "p_sigma": array("d", low=-1e60, high=1e60),
+        "p_c": array("d", low=-1e60, high=1e60),
+        "generation": whole(),
+        "largest_std": real(0.0, np.inf),
+        "B": array("d", "d", low=-1.01, high=1.01),
+        "D": array("d", low=1e-30, high=1e6),
+        "two_point": anything,
+    }
     _B: Float64
     _D: Float64
 
@@ -147,7 +126,10 @@ class CMAES:
         self.largest_std = widest * float(scales.mean())
         self._two_point = TwoPoint(d) if are_many(d, k) else None
         self._set_weights(d, k)
-        self._take(*_of_diagonal(np.diag(self.C)))
+        if (scales == scales[0]).all():
+            self._take(np.diag(self.C), np.eye(d))
+        else:
+            self._decompose()
 
     def _set_weights(self, d: int, k: int) -> None:
         """Weights and rates of learning, from dimension and population alone."""
@@ -211,9 +193,8 @@ class CMAES:
         """Learn from one generation.
 
         z: (k, d), candidates as drawn (not repaired).
-        losses: (k,); the lower the better, +inf allowed.  Only their order matters: where none is
-            finite there is no order, and nothing changes; but as long as there never was one, the
-            next generation is wider.
+        losses: (k,); only their order matters.  Where none is finite nothing changes; but as long
+            as none ever was, the next generation is wider.
         injected: (k,), which of them this distribution did not draw.
         pair: where among them the first two of the sample are; None if one of them was lost.
         """
@@ -246,10 +227,7 @@ class CMAES:
         self._scale_sigma(max(1.0, min(2.0, _WIDE_ENOUGH / mean)))
 
     def preview(self, z: Float64, losses: Float64, injected: Mask) -> CMAES:
-        """Return a copy that was told z (n, d), only part of a generation; see `tell`.
-
-        Its weights are those of a population of n.
-        """
+        """Return a copy that was told z (n, d), only part of a generation, of weights for n."""
         other = copy.copy(self)  # arrays are replaced, never written to
         other._two_point = None  # whose pair may still be out, and is drawn once
         other._set_weights(self.dim, len(z))
@@ -335,59 +313,10 @@ class CMAES:
             self.C = (self.C + self.C.T) / 2
         self._D = np.sqrt(eigenvalues)
 
-    def state_dict(self) -> dict[str, Any]:
-        """Everything that `tell` changes."""
-        return {
-            "mean": self.mean,
-            "sigma": self.sigma,
-            "C": self.C,
-            "p_sigma": self.p_sigma,
-            "p_c": self.p_c,
-            "generation": self.generation,
-            "popsize": self.popsize,
-            "largest_std": self.largest_std,
-            "B": self._B,
-            "D": self._D,
-            "two_point": None if self._two_point is None else self._two_point.state_dict(),
-        }
-
-    @classmethod
-    def from_state(cls, state: Mapping[str, Any], dim: int, popsize: int) -> CMAES:
-        """Distribution that goes on, bit for bit, where `state_dict` was taken.
-
-        Raises ValueError if `state` is none of these sizes, or if B and D are not those of C.
-        """
-        check(state, _SCHEMA, {"d": dim, "k": popsize}, "distribution")
-        made = cls(state["mean"], 1.0, int(state["popsize"]))
-        made.sigma, made.generation = float(state["sigma"]), int(state["generation"])
-        made.C, made._B, made._D = state["C"], state["B"], state["D"]
-        if made.generation % made._decompose_every == 0:  # else they are of an earlier C
-            _check_decomposition(made.C, made._B, made._D)
-        made.p_sigma, made.p_c = state["p_sigma"], state["p_c"]
-        made.largest_std = float(state["largest_std"])
-        if made._two_point is not None:
-            made._two_point.load_state_dict(state["two_point"])
-        return made
-
-
-def _of_diagonal(diagonal: Float64) -> tuple[Float64, Float64]:
-    """Eigenvalues (d,) and eigenvectors (d, d) of a diagonal matrix, as `np.linalg.eigh` has them.
-
-    That takes time d^3. The order of equal ones is that of the selection sort by which LAPACK ends.
-    """
-    values, order = diagonal.copy(), np.arange(len(diagonal))
-    for i in range(len(values) - 1):
-        smallest = i + int(values[i:].argmin())
-        if smallest != i:
-            values[[i, smallest]] = values[[smallest, i]]
-            order[[i, smallest]] = order[[smallest, i]]
-    vectors = np.zeros((len(values), len(values)))
-    vectors[order, np.arange(len(values))] = 1.0
-    return values, vectors
-
-
-def _check_decomposition(C: Float64, B: Float64, D: Float64) -> None:
-    """Raise ValueError unless B is a rotation and C = B diag(D^2) B^T, but for rounding."""
-    rotation = np.allclose(B.T @ B, np.eye(len(D)), rtol=0, atol=1e-6)
-    if not rotation or not np.allclose((B * D**2) @ B.T, C, rtol=0, atol=1e-6 * np.abs(C).max()):
-        raise ValueError("the eigenvectors and eigenvalues are not those of the covariance")
+    def load_state_dict(
+        self, state: Mapping[str, Any], sides: Sides | None = None, device: Any = None
+    ) -> None:
+        """Go on, bit for bit, where `state_dict` was taken; ValueError if it is none."""
+        if (state.get("two_point") is None) != (self._two_point is None):
+            raise ValueError("distribution['two_point'] is not of so many parameters")
+        super().load_state_dict(state, {"d": self.dim})

@@ -178,11 +178,16 @@ class Descents(Stateful):
             apart = np.where(periodic, (apart + 0.5) % 1 - 0.5, apart)
         return np.asarray(apart, np.float64)
 
-    def load_state_dict(self, state: Mapping[str, Any], sides: Sides | None = None) -> None:
+    def load_state_dict(
+        self, state: Mapping[str, Any], sides: Sides | None = None, device: Any = None
+    ) -> None:
         """Put back what `state_dict` gave; raises ValueError for what it cannot have given."""
-        super().load_state_dict(state, {"d": self._axes.dim})
+        super().load_state_dict(state)
         for name in ("x", "losses", "damping", "residuals", "jacobians"):
             setattr(self, name, getattr(self, name).copy())
+
+    def _sides(self) -> Sides:
+        return {"d": self._axes.dim}
 
 
 def _flat(tokens: Tensor) -> Float32:

@@ -1,29 +1,18 @@
 """Which blocks of parameters are interchangeable: found by a few renders, or declared.
 
-Eight cells, six lamps, three sheets: blocks of parameters of one form, whose values can be
-exchanged without a change of the image, or nearly (what is painted last hides more). Such scenes
-have as many equal optima as there are orders, and local optima of a known form, see `Split`.
-
-A *layout* says which parameters form which block: indices (n, L), n blocks of length L. Layouts are
-contiguous (all parameters of one block, then of the next) or strided (one parameter of all blocks,
-then the next), and may leave parameters out: six lamps and one camera.
-
-The tests are renders of a local optimum with its blocks rotated by one place: block 1 gets the
-values of block 2, and so on. That moves every block, and changes the order of one only. A layout
-holds if the image changes by no more than noise does, which is measured by renders of the local
-optimum itself, or by little of what a random permutation of the parameters changes. Three rounds:
-
-1. *whole*: layouts without leftovers, contiguous and strided, for every divisor L of d;
-2. *ends*: if none holds, the first two and the last two blocks of every length;
-3. *members*: if one of these holds, each further block against the first.
+A *layout* says which parameters form which block: indices (n, L), n blocks of length L; contiguous,
+or strided (one parameter of all blocks, then the next), with or without leftovers.
 """
 
 from __future__ import annotations
 
+import operator
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
+from torch import Tensor
 
 from fide_plugins.errors import OptionError
 from fide_plugins.population.candidate import TrainingSample
@@ -42,8 +31,6 @@ from fide_plugins.search import mixed
 from fide_plugins.search.scene import Axes
 from fide_plugins.types import Float64, Indices, Mask
 
-__all__ = ["Exchangeability", "check_groups"]
-
 _MOST = 24  # layouts tested in a round
 _LONGEST = 12  # blocks that are tested at the ends
 _REPEATS = 2  # renders of the local optimum itself
@@ -57,37 +44,30 @@ _DECLARED = 4  # nothing is to be found; repeats say what noise is
 
 
 def check_groups(groups: Sequence[Sequence[int]], dim: int) -> Indices:
-    """Return declared exchangeable groups as a layout (n, L).
-
-    Raises OptionError unless they are at least two disjoint groups of equal length >= 1, whose
-    entries are parameter numbers in [0, dim).
-    """
-    rule = "groups must be at least two lists of parameter numbers, all of one length"
+    """Return declared exchangeable groups as a layout (n, L); raises OptionError."""
     try:
-        lists = [[_whole(i) for i in group] for group in groups]
-    except TypeError as error:
-        raise OptionError(f"{rule}; got {groups!r}") from error
-    lengths = sorted({len(group) for group in lists})
-    if len(lists) < 2 or len(lengths) != 1 or lengths[0] == 0:
-        raise OptionError(f"{rule}; got {len(lists)} of the lengths {lengths}")
+        lists = [[operator.index(i) for i in group] for group in groups]
+    except TypeError:
+        lists = []
     numbers = [i for group in lists for i in group]
-    outside = [i for i in numbers if not 0 <= i < dim]
-    if outside:
-        raise OptionError(f"groups must hold numbers from 0 to {dim - 1}; got {outside[0]}")
-    twice = sorted({i for i in numbers if numbers.count(i) > 1})
-    if twice:
-        raise OptionError(f"groups must not overlap; parameter {twice[0]} is in two of them")
+    sound = len(lists) >= 2 and len({len(group) for group in lists}) == 1 and numbers
+    if not sound or len(set(numbers)) < len(numbers) or not set(numbers) <= set(range(dim)):
+        raise OptionError(
+            "groups must be at least two lists of parameter numbers, all of one length, without "
+            f"overlap, each number from 0 to {dim - 1}; got {groups!r}"
+        )
     return np.array(lists, np.intp)
-
-
-def _whole(value: object) -> int:
-    if isinstance(value, bool) or not isinstance(value, int | np.integer):
-        raise TypeError(f"{value!r} is no whole number")
-    return int(value)
 
 
 class Exchangeability(Stateful):
     """Layout of exchangeable blocks, and the tests that find it.
+
+    The tests are renders of a local optimum with its blocks rotated by one place, which moves every
+    block, and changes the order of one only.  A layout holds if the image changes by no more than
+    noise does, which is measured by renders of the local optimum itself, or by little of what a
+    random permutation of the parameters changes.  Three rounds: layouts without leftovers, for
+    every divisor L of d; if none holds, the first two and the last two blocks of every length; if
+    one of these holds, each further block against the first.
 
     dim: d.
     channels: leading channels of the tokens in which images are compared; None: all.
@@ -136,10 +116,7 @@ class Exchangeability(Stateful):
     def distance(self, x: Float64, y: Float64) -> float:
         """Largest difference of a parameter of x and y, (d,) each, blocks in the best order.
 
-        The order is the one with the least sum of the blocks' largest differences: whoever asks
-        compares the largest with a bound.  `learning.judging.Distance`, which measures
-        models, sums the differences of all parameters instead; the two may match blocks
-        differently.
+        That is the order with the least sum of the blocks' largest differences.
         """
         difference = self._axes.difference(x, y)
         if self.blocks is None:
@@ -164,9 +141,8 @@ class Exchangeability(Stateful):
         return costs
 
     def draw(self, x: Float64) -> Float64:
-        """Candidates (n, d) that test the local optimum x (d,).
+        """Candidates (n, d) that test the local optimum x (d,): repeats, a control, and layouts.
 
-        First those that are no layouts: repeats of x, and a control, which must change the image.
         Where blocks are declared there are only the repeats: the policy learns the noise from them.
         """
         if self._round == _DECLARED:
@@ -246,8 +222,10 @@ class Exchangeability(Stateful):
             layouts = member_layouts(self.dim, self._found)
         return [layout for layout in layouts if self._axes.whole(layout)]
 
-    def load_state_dict(self, state: Mapping[str, Any], sides: Sides | None = None) -> None:
-        """Put back what `state_dict` gave; raises ValueError for what it cannot have given."""
+    def load_state_dict(
+        self, state: Mapping[str, Any], sides: Sides | None = None, device: Any = None
+    ) -> None:
+        """Put back what `state_dict` gave; ValueError for what it cannot have given."""
         for name in ("blocks", "found"):
             within = maybe(array(name, "length", kind="i", low=0, high=self.dim - 1))
             check(state[name], within, {}, f"exchangeability[{name!r}]")
@@ -309,17 +287,16 @@ def _changes(
 ) -> Float64:
     """Mean squared change (n,) of tokens by each row of the plan; +inf where it is missing.
 
-    Changes are measured from the first repeat of the incumbent.  Those of its second repeat and of
-    its earlier image are noise; the rows of the repeats have the larger one.
+    Measured from the first repeat of the incumbent; those of its other images are noise.
     """
-    images = {sample.x.tobytes(): [] for sample in samples}  # type: ignore[var-annotated]
+    images: dict[bytes, list[Tensor]] = defaultdict(list)
     for sample in samples:
         images[sample.x.tobytes()].append(sample.tokens)
-    repeats = [*images.get(incumbent.x.tobytes(), []), incumbent.tokens]
+    repeats = [*images[incumbent.x.tobytes()], incumbent.tokens]
     first = repeats[0][:, :channels].double()
     changes = np.full(len(plan), np.inf)
     for i, row in enumerate(plan):
-        seen = repeats[1:] if i < _REPEATS else images.get(row.tobytes(), [])
+        seen = repeats[1:] if i < _REPEATS else images[row.tobytes()]
         if seen:
             changes[i] = max(
                 float((tokens[:, :channels].double() - first).square().mean()) for tokens in seen

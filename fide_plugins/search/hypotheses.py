@@ -1,34 +1,7 @@
 """Hypotheses that a learned model has of this picture: where a run begins, if there is a model.
 
-So begins the search for the next picture (`retarget`), which renders what it remembers beside them.
-
-The first generation renders some of them. The best distinct ones are the starts of searches, each
-as wide as the hypotheses around it. They follow each other, and each has to beat the best so far
-(`one_search.is_hopeless`). Between two of them `Refine` goes on with what is in the right place,
-and `Resample` draws again what is left open. The other moves come after all of them.
-
-Where blocks are exchangeable, a set of them is a hypothesis that is right in most blocks.  What is
-wrong then is repaired by moves of single blocks (`Split`), not by another set.  So few are
-rendered, one is searched, and narrowly.
-
-Where descents through an emulator have refined some, the best of these come first. Two draws and
-the middle of all are rendered beside them, since the emulator may be wrong of a picture: it has
-learned renders as they are. These three, which are no optima, say what a typical loss is.
-
-*How probable is each of several answers?* A model's hypotheses are draws from its posterior, so the
-share of them that lie around an answer is the answer's probability, as far as the model knows.
-Renders know more: an answer that the model takes for possible may be rendered, and not look like
-the target.  So
-
-    p_m ~ (share of hypotheses that are nearest to m) * exp(-(L_m - L_best) / T),
-
-where L are the losses at the answers, and T is the noise of a loss, or a hundredth of the median
-loss of rendered draws above that of the best answer, if this is larger.  (Hypotheses that were
-refined through an emulator are optima, and no measure.)  Answers that the second factor excludes
-take no hypotheses from the others.
-
-So one answer that was found has probability 1, wherever the other hypotheses are.  `elsewhere` says
-how many of them are near no answer: a mode that no search has reached, perhaps.
+The first generation renders some; the best distinct ones are the starts of searches, as wide as the
+hypotheses around them.  All other moves but `Refine` and `Resample` come after all of them.
 """
 
 from __future__ import annotations
@@ -46,22 +19,10 @@ from fide_plugins.search.moves import Known, Move, Stage, Start
 from fide_plugins.search.scene import Axes
 from fide_plugins.types import Float64, Indices, Posterior
 
-__all__ = [
-    "AFTER_DESCENT",
-    "Hypotheses",
-    "Resample",
-    "elsewhere",
-    "nearest_shares",
-    "probabilities",
-    "relative_likelihoods",
-]
-
 _TYPICAL = 0.01  # of the median loss above the best: a difference of it divides a likelihood by e
 _EXCLUDED = 0.01  # relative likelihood below which an answer takes no hypotheses
 _MODE_NEAREST = 0.1  # of all hypotheses, whose spread says how far "near" is on each axis
 _MODE_NARROWEST = 1e-3  # standard deviation
-_DECILE = 0.1257  # of the absolute value of a standard normal variable
-_FAR = 4.0  # standard deviations on any axis, of a normal density that hardly a sample exceeds
 
 
 def probabilities(
@@ -75,34 +36,29 @@ def probabilities(
 ) -> Float64:
     """Probabilities (m,) of answers X (m, d) with these losses; they sum to 1.
 
+    p_m ~ (share of hypotheses that are nearest to m) * exp(-(L_m - L_best) / T), where T is the
+    noise of a loss, or a hundredth of the median loss of rendered draws above that of the best
+    answer, if this is larger.  Answers that the second factor excludes take no hypotheses from the
+    others.
+
     hypotheses: (n, d), draws from the posterior.
     typical: median loss of draws; None: not known, and the best answer alone is likely.
     noise: standard deviation of a loss; None: not known.
     """
-    likelihood = relative_likelihoods(losses, typical, noise)
+    best = min(losses)
+    excess = np.asarray(losses, np.float64) - best
+    scale = max(noise or 0.0, 0.0 if typical is None else _TYPICAL * (typical - best))
+    likelihood = np.exp(-excess / scale) if scale > 0 else np.asarray(excess == 0, np.float64)
     kept = np.flatnonzero(likelihood >= _EXCLUDED)
-    shares = np.ones(1)
-    if len(kept) > 1:
-        shares = nearest_shares(X[kept], hypotheses, exchangeability, axes)
     mass = np.zeros(len(X))
-    mass[kept] = shares * likelihood[kept]
+    mass[kept] = likelihood[kept]
+    if len(kept) > 1:
+        mass[kept] *= _nearest_shares(X[kept], hypotheses, exchangeability, axes)
     total = float(mass.sum())
     return mass / total if total > 0 else likelihood / likelihood.sum()
 
 
-def relative_likelihoods(
-    losses: Sequence[float], typical: float | None, noise: float | None
-) -> Float64:
-    """Likelihoods (m,) of answers with these losses; the best one has 1."""
-    best = min(losses)
-    excess = np.asarray(losses, np.float64) - best
-    scale = max(noise or 0.0, 0.0 if typical is None else _TYPICAL * (typical - best))
-    if scale <= 0:
-        return np.asarray(excess == 0, np.float64)
-    return np.asarray(np.exp(-excess / scale), np.float64)
-
-
-def nearest_shares(
+def _nearest_shares(
     X: Float64, hypotheses: Float64, exchangeability: Exchangeability, axes: Axes
 ) -> Float64:
     """Shares (m,) of the hypotheses (n, d) that are nearest to each of the answers X (m, d).
@@ -110,7 +66,14 @@ def nearest_shares(
     Axes count by how narrow the hypotheses are around the answers, so that what the picture does
     not show decides nothing.
     """
-    apart = np.stack([_squares(x, hypotheses, exchangeability, axes) for x in X])  # (m, n, d)
+
+    def squares(x: Float64) -> Float64:
+        matched = hypotheses
+        if exchangeability.blocks is not None:
+            matched = np.stack([exchangeability.aligned(one, x) for one in hypotheses])
+        return np.square(axes.difference(matched, x))
+
+    apart = np.stack([squares(x) for x in X])  # (m, n, d)
     n = max(2, int(_MODE_NEAREST * len(hypotheses)))
     near = [each[np.argsort(each.sum(axis=1))[:n]].mean(axis=0) for each in apart]
     variance = np.maximum(np.mean(near, axis=0), _MODE_NARROWEST**2)  # (d,)
@@ -118,38 +81,11 @@ def nearest_shares(
     return np.bincount(nearest, minlength=len(X)) / len(hypotheses)
 
 
-def elsewhere(
-    X: Float64, hypotheses: Float64, exchangeability: Exchangeability, axes: Axes
-) -> float:
-    """Share of the hypotheses (n, d) that are far from each of the answers X (m, d).
-
-    Far is more than four standard deviations on any axis, as the tenth of all hypotheses that is
-    nearest to an answer there tells them.  They seem the wider the fewer hypotheses are around an
-    answer: four times as wide with a quarter.  So this may be too little, and 0 for a rare answer.
-    """
-    far = np.ones(len(hypotheses), bool)
-    for x in X:
-        apart = np.sqrt(_squares(x, hypotheses, exchangeability, axes))  # (n, d)
-        std = np.maximum(np.quantile(apart, _MODE_NEAREST, axis=0) / _DECILE, _MODE_NARROWEST)
-        far &= (apart > _FAR * std).any(axis=1)
-    return float(far.mean())
-
-
-def _squares(
-    x: Float64, hypotheses: Float64, exchangeability: Exchangeability, axes: Axes
-) -> Float64:
-    """Squared differences (n, d) of hypotheses from an answer x (d,), blocks matched."""
-    if exchangeability.blocks is not None:
-        hypotheses = np.stack([exchangeability.aligned(one, x) for one in hypotheses])
-    return np.square(axes.difference(hypotheses, x))
-
-
 _RENDERED = 48
 _RENDERED_SETS = 8  # and where some were refined
 _BESIDE_REFINED = 3  # of those: draws, whose median loss one odd draw does not move
 _SEARCHED = 4  # of those rendered
 _APART = 0.15  # of the unit cube, in some parameter: other hypotheses
-_H_NEAREST = 0.1  # of all hypotheses, whose spread says how wide a search begins
 _BETTER = 0.1  # of the typical loss
 _H_NARROWEST, _WIDEST, _WIDEST_SET = 0.02, 1 / 6, 0.06  # standard deviations
 AFTER_DESCENT = 0.01  # standard deviation of a search, at most
@@ -230,10 +166,7 @@ class Hypotheses(Move, Stateful):
         return self.available
 
     def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
-        """Those that are rendered first, (m, d): what was refined, the best first, and draws.
-
-        How many does not depend on n, and nothing is drawn at random.
-        """
+        """Those that are rendered first, (m, d): what was refined, the best first, and draws."""
         few = self._sets or len(self._refined) > 0
         refined = self._refined[: _RENDERED_SETS - _BESIDE_REFINED]
         draws = self.x[: (_RENDERED_SETS if few else _RENDERED) - len(refined)]
@@ -266,11 +199,7 @@ class Hypotheses(Move, Stateful):
         self._waiting, self.narrow = ends.copy(), True
 
     def next(self, known: Known, before: Start) -> Start:
-        """Begin at the next one; there must be one.
-
-        before: what it was before.  Where that is the same place, which `retarget` remembers, the
-            search is no wider.
-        """
+        """Begin at the next one; where `before` is the same place, the search is no wider."""
         x, self._waiting = self._waiting[0], self._waiting[1:]
         start = self.begin_at(known, x)
         if not np.array_equal(x, before.mean):
@@ -293,17 +222,13 @@ class Hypotheses(Move, Stateful):
         return Start(x, std, strict_above=self.strict_above)
 
     def _spread(self, x: Float64, known: Known) -> Float64:
-        """Standard deviations (d,) around x (d,) of the hypotheses that are nearest to it.
-
-        They are narrow in what the picture shows well, and wide in the rest.  Exchangeable blocks
-        are in the order nearest to x, and periodic axes are differences the shorter way around.
-        """
+        """Standard deviations (d,) around x (d,) of the hypotheses that are nearest to it."""
         refined = self._is_among(x, self._refined)
         around = np.concatenate([self._refined, self.x[:1]]) if refined else self.x
         others = np.stack([known.exchangeability.aligned(one, x) for one in around])
         squares = np.square(known.axes.difference(others, x))  # (n, d)
         order = np.argsort(squares.sum(axis=1), kind="stable")
-        nearest = squares[order[: max(2, int(_H_NEAREST * len(others)))]]
+        nearest = squares[order[: max(2, int(_MODE_NEAREST * len(others)))]]
         spread = np.sqrt(nearest.mean(axis=0))
         low = _NARROWEST_REFINED if refined else _H_NARROWEST
         return np.asarray(np.clip(spread, low, _WIDEST_SET if self._sets else _WIDEST), np.float64)
@@ -312,30 +237,27 @@ class Hypotheses(Move, Stateful):
         """Whether a candidate x (d,), as it was rendered, is one of the points (n, d)."""
         return bool((self._place(points) == x).all(axis=1).any())
 
-    def load_state_dict(self, state: Mapping[str, Any], sides: Sides | None = None) -> None:
-        """Put back what `state_dict` gave; raises ValueError for what it cannot have given."""
+    def load_state_dict(
+        self, state: Mapping[str, Any], sides: Sides | None = None, device: Any = None
+    ) -> None:
+        """Put back what `state_dict` gave; ValueError for what it cannot have given."""
         super().load_state_dict(state, {"d": self._dim})
         for name in ("x", "_refined", "_waiting"):
             setattr(self, name, getattr(self, name).reshape(-1, self._dim))
 
 
 _AGREE = 0.05  # of the unit cube: the same in a parameter
-_AGREEING = 0.25  # of all hypotheses: those that agree with the incumbent elsewhere
+_AGREEING = 0.25  # of all hypotheses: those that agree with the incumbent in the others
 _OPEN_SHARE = 0.25  # of these, at least, differ from the incumbent in a parameter that is open
 _WIDE, _NARROW = 1 / 3, 1 / 16  # of sigma0, in the parameters that were drawn, in all others
 
 
 class Resample(Move):
-    """Parameters of hypotheses in copies of the incumbent.
+    """What a learned model leaves open, drawn again around the best so far.
 
-    What a learned model leaves open, drawn again around the best so far.
-
-    A hypothesis is rarely right in everything, and its render is judged by what is wrong in it: the
-    right hand on an arm that is two pixels off is no better than the wrong one.  After a search the
-    arm is where it should be, and renders say which hand is right.  So restart candidates are
-    copies of the incumbent, with parameters of hypotheses where these differ from it: half of them
-    in a single parameter, spread over what hypotheses that agree with the incumbent elsewhere have
-    there, and the others in several at once, all of one hypothesis.
+    Restart candidates are copies of the incumbent with parameters of hypotheses where these differ
+    from it: half of them in a single parameter, spread over what hypotheses have that agree with
+    the incumbent in the others, and half of them in several at once, all of one hypothesis.
     """
 
     name = "resample"
@@ -372,14 +294,14 @@ class Resample(Move):
 
     def _open(self, known: Known) -> list[tuple[Indices, Float64]]:
         """Parameters that are open: axes, and what (m, axes) hypotheses have there, sorted."""
-        here, x = known.current.x, self._hypotheses.x
-        apart = known.axes.difference(x, here)
+        x = self._hypotheses.x
+        apart = known.axes.difference(x, known.current.x)
         parameters = known.axes.axes_of
         agree = np.column_stack([apart[:, axes].max(axis=1) <= _AGREE for axes in parameters])
         opened = []
         for i, axes in enumerate(parameters):
-            elsewhere = agree.sum(axis=1) - agree[:, i]
-            nearest = np.argsort(-elsewhere, kind="stable")[: max(1, int(_AGREEING * len(x)))]
+            others = agree.sum(axis=1) - agree[:, i]
+            nearest = np.argsort(-others, kind="stable")[: max(1, int(_AGREEING * len(x)))]
             differ = nearest[~agree[nearest, i]]
             if len(differ) >= _OPEN_SHARE * len(nearest):
                 values = x[differ][:, axes]

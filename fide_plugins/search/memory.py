@@ -1,10 +1,4 @@
-"""Parameters and tokens of what was rendered, for later pictures and for `Solution.std`.
-
-The room is limited.  Half of it is for the latest samples, which are near the answer of the last
-picture.  The other half is for earlier ones: every s-th of those that have left the first half,
-where s doubles whenever the room is full.  So they are spread evenly over the run, and nothing is
-drawn at random.
-"""
+"""Parameters and tokens of what was rendered, for later pictures and for `Solution.std`."""
 
 from __future__ import annotations
 
@@ -19,8 +13,6 @@ from torch import Tensor, as_tensor, device
 
 from fide_plugins.population.candidate import TrainingSample, columns
 from fide_plugins.runtime.schema import Schema, Sides, array, check, maybe, whole
-
-__all__ = ["Memory"]
 
 _MEGABYTE = 2**20
 _LEAST = 4096  # bytes of a sample; its objects take about as much, however few numbers they hold
@@ -42,7 +34,8 @@ _SCHEMA: Schema = {
 class Memory:
     """Samples of a run, at most `megabytes` of tokens and parameters; 0: none.
 
-    A sample counts at least 4 KiB.
+    Half of the room is for the latest samples.  The other half is for every s-th of those that have
+    left the first, where s doubles whenever the room is full: they are spread evenly over the run.
     """
 
     def __init__(self, megabytes: float) -> None:
@@ -83,12 +76,8 @@ class Memory:
 
     def state_dict(self) -> dict[str, Any]:
         """Everything, as arrays."""
-        return {
-            "earlier": _pack(self._earlier),
-            "latest": _pack(list(self._latest)),
-            "left": self._left,
-            "stride": self._stride,
-        }
+        earlier, latest = _pack(self._earlier), _pack(list(self._latest))
+        return {"earlier": earlier, "latest": latest, "left": self._left, "stride": self._stride}
 
     def load_state_dict(self, state: Mapping[str, Any], sides: Sides, device: device) -> None:
         """Put back what `state_dict` gave, tokens on the device; ValueError if it is none.
@@ -106,9 +95,11 @@ def _pack(samples: list[TrainingSample]) -> dict[str, Any] | None:
     if not samples:
         return None
     x, tokens, losses = columns(samples)
-    index = np.array([sample.index for sample in samples], np.int64)
-    evaluation = np.array([sample.evaluation for sample in samples], np.int64)
-    return {"index": index, "x": x, "tokens": tokens, "losses": losses, "evaluation": evaluation}
+    numbers = {
+        name: np.array([getattr(sample, name) for sample in samples], np.int64)
+        for name in ("index", "evaluation")
+    }
+    return {"x": x, "tokens": tokens, "losses": losses, **numbers}
 
 
 def _unpack(packed: Mapping[str, Any] | None, device: device) -> list[TrainingSample]:

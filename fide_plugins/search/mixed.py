@@ -1,54 +1,7 @@
-"""Candidates of a search over a space with integers, choices and periodic parameters.
+"""Walls of the unit cube; integers, choices and periodic parameters.
 
-    z ~ N(m, Sigma)      drawn by the search, which learns from it
-    v = m + A (z - m)    stretched on axes with cells, see below
-    x                    the point of the cube that is rendered: an integer or a choice in the
-                         middle of its cell, all other coordinates reflected or wrapped (`into`)
-
-The cells at either end of an axis reach to infinity, so that nothing is reflected there.  A
-candidate that comes from elsewhere, at x, has the z that is closest to the mean.
-
-Without integers, choices and periodic parameters all of this is `into`, to the bit.
-
-*Walls.*  The search distribution lives in R^d.  Its candidate z stands for the point `into(z)` of
-the unit cube, the triangle wave of period 2 in every coordinate; what is rendered is that point,
-what the distribution learns from is z itself.  So it optimizes the even, periodic continuation of
-the loss, and every step it is told is one it drew: samples are exactly N(m, Sigma), none is
-clipped, redrawn or moved, and the covariance is as unbiased as without bounds.  (Telling the
-repaired point instead would shrink the covariance across a nearby wall.)  A periodic parameter,
-such as an angle, has no walls: its coordinate is taken modulo 1 instead.
-
-*Margin.* A search in R^d stands still on an integer once its standard deviation is much smaller
-than a cell: every sample is then the same integer, and nothing says that another one is better.
-CMA-ES with margin (Hamano, Saito, Nomura and Shirakawa 2022, GECCO, arXiv:2205.13482) moves the
-mean and stretches the samples after each generation, just so that the probability of leaving the
-cell of the mean stays above alpha.  Covariance, step size and paths stay as they are.
-
-Notation
---------
-=====  ======  ===================================================================================
-m      (d,)    mean
-s      (d,)    standard deviations of samples, A sigma sqrt(diag C)
-A      (d,)    how much samples are stretched about the mean, 1 at the beginning, on axes with
-               cells; v = m + A (z - m) is rendered, z is what CMA-ES learns from
-l, u   (d,)    where the cell of the mean begins and ends; -inf, inf for the first and the last
-alpha  ()      smallest probability; the paper's is 1 / (d k) with k candidates a generation
-q(p)           quantile of the normal distribution; q(1 - p) = sqrt(chi2_ppf(1 - 2 p)) of the paper
-=====  ======  ===================================================================================
-
-The two rules of the paper, for an axis with cells:
-
-- *first or last cell* (and so every axis of two cells; "margin for binary variables"): the mean is
-  not farther than q(1 - alpha) s from the only edge, so that the other side has alpha at least.
-- *a cell with neighbors on both sides* ("margin for integer variables"): both sides get at least
-  alpha / 2, and the three probabilities are brought back to a sum of 1 in proportion to what they
-  have above alpha / 2; m and A follow from the two of the sides.
-
-A choice of K > 2 values has K axes, and the largest coordinate decides.  Between the value b of the
-largest mean and another value j that is an axis with one edge: z_b - z_j is Gaussian and decides at
-zero.  So the first rule is applied to each such pair: no mean is farther below that of b than
-q(1 - alpha) times the standard deviation of the difference.  Besides, only differences count, and
-the means of a block, which would wander off together, are centered.
+A candidate z ~ N(m, Sigma) stands for v = m + A (z - m), stretched on axes with cells, and for the
+point x of the cube that is rendered.  Without such axes x is `into(z)`, to the bit.
 """
 
 from __future__ import annotations
@@ -63,22 +16,14 @@ from fide_plugins.runtime.schema import Schema, Stateful, array
 from fide_plugins.search.cma_es import CMAES
 from fide_plugins.types import Float64, Mask
 
-__all__ = [
-    "AxisLayout",
-    "Mixed",
-    "closest",
-    "correct_choice",
-    "correct_steps",
-    "default_alpha",
-    "distance",
-    "inside",
-    "into",
-    "periodic_axes",
-]
-
 
 def into(z: Float64, periodic: Mask | None = None) -> Float64:
-    """Points of the unit cube that candidates `z` (..., d) stand for."""
+    """Points of the unit cube that candidates `z` (..., d) stand for.
+
+    They are reflected at its walls: the search optimizes the even, periodic continuation of the
+    loss, and learns from z itself, so every step it is told is one it drew.  (Telling the repaired
+    point would shrink the covariance across a nearby wall.)  Periodic axes wrap around.
+    """
     period = np.mod(z, 2.0)  # in [0, 2]
     x: Float64 = np.minimum(period, 2.0 - period)
     if periodic is not None:
@@ -114,33 +59,26 @@ _SMALLEST, _LARGEST = 1e-10, 0.5 - 1e-10  # probabilities of one side
 _CENTER = 0.5  # of the means of a block
 
 
-def default_alpha(dim: int, popsize: int) -> float:
-    """Smallest probability 1 / (d k) (Hamano et al. 2022)."""
-    return 1 / (dim * popsize)
-
-
 def correct_steps(
     m: Float64, s: Float64, lower: Float64, upper: Float64, alpha: float
 ) -> tuple[Float64, Float64]:
     """Mean and standard deviations, (d,) each, that leave their cells with probability alpha.
 
+    CMA-ES with margin (Hamano et al. 2022, arXiv:2205.13482).  Of a first or last cell the mean is
+    not farther than q(1 - alpha) s from the only edge; of an inner one both sides get at least
+    alpha / 2, and m and s follow from the two of the sides.
+
     m, s: (d,), before.  lower, upper: (d,), the cells of m; both endless where an axis has none.
     """
     mean, std = m.copy(), s.copy()
     edge = np.isfinite(lower) ^ np.isfinite(upper)
-    mean[edge] = _within_reach(m, s, np.where(np.isfinite(lower), lower, upper), alpha)[edge]
+    only, reach = np.where(np.isfinite(lower), lower, upper), ndtri(1 - alpha) * s
+    mean[edge] = np.clip(m, only - reach, only + reach)[edge]
     inner = np.isfinite(lower) & np.isfinite(upper)
     mean[inner], std[inner] = _with_both_sides(
         m[inner], s[inner], lower[inner], upper[inner], alpha
     )
     return mean, std
-
-
-def _within_reach(m: Float64, s: Float64, edge: Float64, alpha: float) -> Float64:
-    """Means not farther from the edge than the other side's probability alpha allows."""
-    reach = ndtri(1 - alpha) * s
-    within: Float64 = np.clip(m, edge - reach, edge + reach)
-    return within
 
 
 def _with_both_sides(
@@ -164,6 +102,9 @@ def _with_both_sides(
 def correct_choice(m: Float64, cov: Float64, alpha: float) -> Float64:
     """Means (K,) of a block of which each value has about alpha at least against the best.
 
+    Between the value b of the largest mean and another value j, z_b - z_j decides at zero: an axis
+    with one edge.  Only differences count, so the means are centered.
+
     m: (K,), before.  cov: (K, K), covariance of the coordinates as they are rendered.
     """
     b = int(np.argmax(m))
@@ -179,24 +120,21 @@ _USUAL = 1 / 6  # that on other axes
 
 
 class AxisLayout(Protocol):
-    """What is discrete and periodic in the cube; `fide_plugins.space.layout.Layout` is one."""
+    """What is discrete and periodic in the cube; `fide_plugins.space.layout.Layout` is one.
+
+    periodic: (d,), axes that wrap around.
+    choices: blocks of axes of which the largest coordinate decides.
+    discrete: (d,), axes on which many points stand for one value.
+    """
 
     @property
-    def dim(self) -> int:
-        """Number of axes d."""
-
+    def dim(self) -> int: ...  # noqa: D102
     @property
-    def periodic(self) -> Mask:
-        """(d,), axes that wrap around."""
-
+    def periodic(self) -> Mask: ...  # noqa: D102
     @property
-    def choices(self) -> Sequence[slice]:
-        """Blocks of axes of which the largest coordinate decides."""
-
+    def choices(self) -> Sequence[slice]: ...  # noqa: D102
     @property
-    def discrete(self) -> Mask:
-        """(d,), axes on which many points stand for one value."""
-
+    def discrete(self) -> Mask: ...  # noqa: D102
     def snap(self, X: Float64) -> Float64:
         """Put discrete coordinates of (n, d), which may leave the cube, in the middle of cells."""
 
@@ -226,8 +164,7 @@ class Mixed(Stateful):
     def widened(self, std: Float64) -> Float64:
         """Standard deviations (d,) of a search that knows nothing: at least 0.3 on discrete axes.
 
-        With the usual 1/6 the integers at the ends would hardly be tried.  Who gives less knows
-        more, and gets as much less than 0.3: around a good guess few integers and choices change.
+        With the usual 1/6 the integers at the ends would hardly be tried.
         """
         if self._discrete is None:
             return std
@@ -266,10 +203,10 @@ class Mixed(Stateful):
         return mean + (np.where(self._discrete, x, v) - mean) / self.A
 
     def correct(self, distribution: CMAES) -> None:
-        """Move the mean, and change A, so that no value is given up; see below."""
+        """Move the mean, and change A, so that no value is given up."""
         if self._discrete is None or self.layout is None:
             return
-        alpha = default_alpha(distribution.dim, distribution.popsize)
+        alpha = 1 / (distribution.dim * distribution.popsize)
         lower, upper = self.layout.cells(distribution.mean)
         std = np.maximum(distribution.std, np.finfo(np.float64).tiny)
         mean, stretched = correct_steps(distribution.mean, self.A * std, lower, upper, alpha)

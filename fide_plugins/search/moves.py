@@ -1,12 +1,7 @@
-"""Where to go on when a search has stalled: a family of moves, chosen by what they brought.
+"""Where to go on when a search has stalled: a family of moves, which `search.policy` chooses.
 
-A loss of images has many local optima that no small step leaves: two cells stand for one of the
-target's and one for two, a wrist is turned around, a layer is painted too early.  A local optimum,
-the *incumbent*, is mostly right, so a move keeps most of it.  It leaves it in three steps: it
-proposes *restart candidates*, most of them copies of the incumbent with some parameters changed;
-these are rendered; a search begins at the best of them.  Some moves need to know more of the scene
-first (`search.scene`), and name the stage (a generation with a purpose of its own) that finds it
-out.  `search.policy` chooses the moves; that of learned models is in `search.hypotheses`.
+A local optimum, the *incumbent*, is mostly right.  A move proposes *restart candidates*, most of
+them copies of it with some parameters changed; a search begins at the best of them.
 """
 
 from __future__ import annotations
@@ -25,23 +20,6 @@ from fide_plugins.runtime.schema import array, flag, maybe, real, saved, whole
 from fide_plugins.search.exchangeability import Exchangeability
 from fide_plugins.search.scene import APART, Axes, Optima, Removal, Sensitivity, Values
 from fide_plugins.types import Float64, Indices, Mask
-
-__all__ = [
-    "ChangeValue",
-    "Crossover",
-    "HalfTurn",
-    "Known",
-    "Move",
-    "RandomRestart",
-    "Refine",
-    "RelocateGroup",
-    "RelocateSegment",
-    "Split",
-    "Stage",
-    "Start",
-    "Swap",
-    "segment",
-]
 
 WIDE, NARROW = 1 / 2, 1 / 8  # of sigma0: in the parameters that were moved, in all others
 
@@ -62,9 +40,8 @@ class Start:
     """Where a search begins.
 
     mean, std: (d,), of its first distribution.
-    population: its population size in units of the run's.
-    patience: generations without progress that end it, in units of the run's.
-    improvement: share of the loss that is progress, in units of the run's.
+    population, patience, improvement: population size, generations without progress that end it,
+        and share of the loss that is progress, in units of the run's.
     strict_above: loss above which it has to be quick, see `one_search`; None: it may be slow.
     widest: mean standard deviation that it may come to, in units of that of its beginning.
     to_the_end: whether it goes on where other searches have collapsed, see `one_search`.
@@ -84,22 +61,15 @@ class Start:
 
 @dataclass(kw_only=True, slots=True)
 class Known:
-    """What is known of the scene and of its local optima.
+    """What is known of the scene and of its local optima; what was found is in `search.scene`.
 
     x0, sigma0: (d,), mean and standard deviation of the first search.
     target: (T, C), tokens of the target; channels: the leading ones in which images are compared.
-    exchangeability, removal, sensitivity: what was found of the parameters by stages of their own.
-    axes: which axes of the cube belong to one parameter, and which wrap around.
     place: points of the cube (n, d) as they are rendered: integers and choices in their cells.
     incumbent: local optimum that moves leave; None before the first, and after a search began
         without images.
-    optima: distinct local optima.
-    values: of integers and choices, and which of them were searched.
-    blurs: whether searches that begin coarse are useful here (`comparison.scale_space`).
+    blurs: whether searches that begin coarse are useful (`comparison.scale_space`).
     only_coarse: whether a search from a random place has to begin so.
-
-    What was found of the scene (exchangeability, removal, sensitivity, optima, values) is described
-    in its file of `search.scene`.
     """
 
     x0: Float64
@@ -125,14 +95,13 @@ class Known:
     @property
     def current(self) -> TrainingSample:
         """The incumbent, which must be there."""
-        if self.incumbent is None:
-            raise RuntimeError("no move leaves a local optimum before there is one")
+        assert self.incumbent is not None
         return self.incumbent
 
     def began_apart(self, begun: Float64, ended: Float64) -> bool:
         """Whether a search that left the incumbent began apart from where it ended, (d,) each.
 
-        So it is evidence of where it ended.  More than half of all parameters must have been
+        Then it is evidence of where it ended.  More than half of all parameters must have been
         changed, and be apart: what keeps most of them, right or wrong, comes back to them.
         """
         axes = self.axes
@@ -147,10 +116,7 @@ class Known:
         return np.tile(self.current.x, (n, 1))
 
     def start_at(self, x: Float64, wide: float = WIDE, narrow: float = NARROW) -> Start:
-        """Start at a restart candidate (d,): wide where it differs from the incumbent.
-
-        wide, narrow: standard deviations in units of sigma0.
-        """
+        """Start at x (d,): `wide` where it differs from the incumbent, in units of sigma0."""
         std = narrow * self.sigma0
         moved = self.axes.together(np.flatnonzero(x != self.current.x))
         std[moved] = wide * self.sigma0[moved]
@@ -162,9 +128,8 @@ class Move(ABC):
 
     name: by which it is chosen and saved.
     prior_gain: share by which it is expected to lower the loss, as long as it was not tried.
-    from_incumbent: whether its restart candidates are copies of the incumbent with something
-        changed.  Then its gain is measured from there, and it is chosen by its gain (`choice`);
-        otherwise the policy says when it is due.
+    from_incumbent: whether its gain is measured from the incumbent, and it is chosen by its gain
+        (`policy.Choice`); otherwise the policy says when it is due.
     has_goal: whether its search is over when it has no hope to become better than the incumbent.
     has_more: whether `draw` gives other candidates each time, which are as good as the first ones.
     wide: standard deviation in the parameters that were changed, in units of sigma0.
@@ -198,10 +163,7 @@ class Move(ABC):
 
 
 class RelocateGroup(Move):
-    """A parameter group at a random place: groups by exchangeability or sensitivity, by their size.
-
-    It is right where nothing else is known of the scene.
-    """
+    """A group of parameters, by exchangeability or sensitivity, at a random place."""
 
     name = "relocate group"
 
@@ -211,49 +173,18 @@ class RelocateGroup(Move):
 
     def needs(self, known: Known) -> Stage | None:
         """Sensitivity samples, once, where blocks are not known."""
-        if known.exchangeability.blocks is not None or known.sensitivity.rounds:
-            return None
-        return Stage.SENSITIVITY
+        done = known.exchangeability.blocks is not None or known.sensitivity.rounds
+        return None if done else Stage.SENSITIVITY
 
     def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
-        """Copies (n, d) of the incumbent, each with one group uniform in the unit cube."""
-        groups = self._groups(known)
+        """Copies (n, d) of the incumbent, each with one group, by its size, uniform in the cube."""
+        blocks, leftovers = known.exchangeability.blocks, known.exchangeability.leftovers
+        groups = known.sensitivity.groups if blocks is None else [*blocks, leftovers]
+        groups = [group for group in groups if len(group)]
         sizes = np.array([len(group) for group in groups])
         x = known.copies(n)
         for row, which in zip(x, rng.choice(len(groups), n, p=sizes / sizes.sum()), strict=True):
             row[groups[which]] = rng.random(sizes[which])
-        return x
-
-    def _groups(self, known: Known) -> list[Indices]:
-        blocks = known.exchangeability.blocks
-        if blocks is None:
-            return known.sensitivity.groups
-        leftovers = known.exchangeability.leftovers
-        return [*blocks, *([leftovers] if len(leftovers) else [])]
-
-
-class Swap(Move):
-    """Two exchangeable blocks with their values exchanged: another order of painting.
-
-    Only where the order of blocks shows (`Exchangeability.ordered`): elsewhere the image is the
-    same.
-    """
-
-    name = "swap"
-    wide = NARROW  # the values are those of a local optimum
-
-    def possible(self, known: Known) -> bool:
-        """Whether there are blocks whose order shows."""
-        return known.exchangeability.blocks is not None and known.exchangeability.ordered
-
-    def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
-        """Copies (n, d) of the incumbent, each with two blocks exchanged."""
-        blocks = known.exchangeability.blocks
-        assert blocks is not None
-        x = known.copies(n)
-        for row in x:
-            a, b = blocks[rng.choice(len(blocks), 2, replace=False)]
-            row[a], row[b] = row[b], row[a]
         return x
 
 
@@ -263,13 +194,10 @@ _SMALLEST, _LARGEST = 0.03, 0.5  # standard deviation of a difference, log-unifo
 class Split(Move):
     """A redundant block becomes a copy of one that has too much to do.
 
-    Donor := source + N(0, s^2), s log-uniform for each parameter.
-
     Local optima of exchangeable things have a known shape: several things of the scene stand for
     one of the target's, and one stands for several, as centers do in k-means (Qian et al. 2020,
-    arXiv:2002.06694; fission and fusion, arXiv:2201.04822). So the block that is cheapest to remove
-    (`scene.Removal`) is put beside the one in whose region most of the error lies, with random
-    differences; the search then divides the region between the two.
+    arXiv:2002.06694).  So the block that is cheapest to remove (`scene.Removal`) is put beside the
+    one in whose region most of the error lies, with differences N(0, s^2), s log-uniform.
     """
 
     name = "split"
@@ -307,14 +235,10 @@ class Split(Move):
         return known.axes.inside(x)
 
 
-_OTHERS = 1 / 4  # of sigma0, in the parameters from another optimum, or that were turned
-
-
 class RelocateSegment(Move):
-    """A segment of neighboring parameters at a random place: up to half of all.
+    """A segment of neighboring parameters, up to half of all, at a random place.
 
-    That is for scenes in which parameters act on one another, and nothing says what belongs
-    together: the joints of an arm all move the hand.
+    That is for scenes in which nothing says what belongs together: joints that all move the hand.
     """
 
     name = "relocate segment"
@@ -339,63 +263,20 @@ def segment(dim: int, rng: np.random.Generator) -> Indices:
     return np.arange(start, start + length)
 
 
-class Crossover(Move):
-    """A segment of the incumbent, and all else of another optimum, or the other way round.
-
-    Several descents of one scene end in several places, each right in something else: one has the
-    shoulder of an arm right, one the wrist. Their children have both (HG-means does so for
-    clusters, Gribel and Vidal 2019, arXiv:1804.09813). Where blocks are exchangeable the same block
-    stands for different things in two optima; `Split` is for these.
-    """
-
-    name = "crossover"
-    wide = _OTHERS
-
-    def possible(self, known: Known) -> bool:
-        """Whether another local optimum is known, and no blocks are exchangeable."""
-        return known.exchangeability.blocks is None and len(self._others(known)) > 0
-
-    def _others(self, known: Known) -> list[Float64]:
-        here = known.current.x
-        every = [optimum.sample.x for optimum in known.optima.all]
-        return [x for x in every if not np.array_equal(x, here)]
-
-    def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
-        """Copies (n, d) of the incumbent, each with a segment, or all but a segment, of another.
-
-        The other optimum is drawn by its rank.
-        """
-        others = self._others(known)
-        weights = np.exp(-np.arange(len(others)) / max(1.0, len(others) / 3))
-        x = known.copies(n)
-        for row in x:
-            other = others[rng.choice(len(others), p=weights / weights.sum())]
-            chosen = known.axes.together(segment(known.dim, rng))
-            if rng.random() < 0.5:
-                chosen = np.setdiff1d(np.arange(known.dim), chosen)
-            row[chosen] = other[chosen]
-        return x
-
-
 _LONGEST = 0.58  # half a turn in units of the box, for a range of 310 degrees
 
 
 class HalfTurn(Move):
     """Angles that look alike: one to three neighbors, half a turn away, mirrored, or both.
 
-    Much that is turned looks nearly the same after half a turn, so that a search settles on the
-    wrong side. And a rotation has two descriptions by three angles, (a, b, c) and (a + 180°, -b, c
-    + 180°) (Diebel 2006, *Representing Attitude*, section 5): a shoulder of three joints that holds
-    the hand where it should be holds the elbow on the right side or on the wrong one, and no small
-    step leads from one to the other.
-
-    Nobody has said which parameters are angles. A joint, or a camera's azimuth, mostly has a range
-    of one turn or a little less, with zero in the middle: half a turn is half of the box or a
-    little more, and the sign changes by a reflection about the center.
+    A rotation has two descriptions by three angles, (a, b, c) and (a + 180°, -b, c + 180°) (Diebel
+    2006, *Representing Attitude*, section 5).  Nobody has said which parameters are angles: a range
+    is mostly one turn or a little less, with zero in the middle, so half a turn is half of the box
+    or a little more, and the sign changes by a reflection about the center.
     """
 
     name = "half turn"
-    wide = _OTHERS  # the ranges of the angles are a guess
+    wide = 1 / 4  # the ranges of the angles are a guess
 
     def possible(self, known: Known) -> bool:
         """Whether there is anything continuous, and no blocks are exchangeable."""
@@ -403,7 +284,7 @@ class HalfTurn(Move):
 
     def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
         """Copies (n, d) of the incumbent, each with some neighbors turned."""
-        angles = _continuous(known)
+        angles, periodic = _continuous(known), known.axes.periodic
         x = known.copies(n)
         for row in x:
             length = int(rng.integers(1, min(3, len(angles)) + 1))
@@ -413,19 +294,15 @@ class HalfTurn(Move):
                 if i % 2 == mirrored:
                     row[axis] = 1.0 - row[axis]
                 else:
-                    row[axis] += (1.0 if row[axis] < 0.5 else -1.0) * _half(known, axis, rng)
+                    exact = periodic is not None and periodic[axis]
+                    half = 0.5 if exact else float(rng.uniform(0.5, _LONGEST))
+                    row[axis] += (1.0 if row[axis] < 0.5 else -1.0) * half
         return known.axes.inside(x)
 
 
 def _continuous(known: Known) -> Indices:
     """Axes that are neither an integer's nor a choice's."""
     return np.flatnonzero(~np.broadcast_to(known.values.discrete, known.dim))
-
-
-def _half(known: Known, axis: int, rng: np.random.Generator) -> float:
-    """Half a turn in units of the box: just so where the parameter is periodic, else a guess."""
-    periodic = known.axes.periodic is not None and known.axes.periodic[axis]
-    return 0.5 if periodic else float(rng.uniform(0.5, _LONGEST))
 
 
 _VALUE_WIDTH = 1 / 4  # of sigma0, in numbers: they adapt to the value
@@ -468,16 +345,11 @@ _MOST_DOUBLINGS = 6
 
 
 class RandomRestart(Move):
-    """A new search, from a random place.
+    """A new search from a random place, at most three standard deviations from the first one.
 
-    Where images guide the search, the best of some random places is where it begins. By losses only
-    it is CMA-ES with two kinds of restarts in turn (after BIPOP; Hansen 2009, "Benchmarking a
-    BI-population CMA-ES on the BBOB-2009 function testbed"): populations that double, and small
-    ones with narrow beginnings.
-
-    Random places are uniform within three standard deviations of where the first search began,
-    which is all of the unit cube unless the user said that the answer is nearby.  Periodic
-    parameters have no walls.
+    Where images guide the search, the best of some random places is where it begins.  By losses
+    only it is CMA-ES with two kinds of restarts in turn (after BIPOP; Hansen 2009): populations
+    that double, and small ones with narrow beginnings.
     """
 
     name = "random restart"
@@ -489,7 +361,7 @@ class RandomRestart(Move):
         return not known.only_coarse
 
     def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
-        """Draw n random places, (n, d)."""
+        """Draw n random places, (n, d); periodic parameters have no walls."""
         low, high = known.x0 - _REACH * known.sigma0, known.x0 + _REACH * known.sigma0
         clipped = np.clip(low, 0.0, 1.0), np.clip(high, 0.0, 1.0)
         if known.axes.periodic is None:
@@ -524,7 +396,7 @@ class Coarsen(RandomRestart):
     has_goal = True
 
     def possible(self, known: Known) -> bool:
-        """Whether searches that begin coarse are useful here."""
+        """Whether searches that begin coarse are useful."""
         return known.blurs
 
     def begin_at(self, known: Known, x: Float64) -> Start:
@@ -539,12 +411,9 @@ _PATIENCE = 3  # times that of other searches
 class Refine(Move):
     """The incumbent itself, searched closely, once: it may not have been at the end of its search.
 
-    A search is over soon, so that the next move can begin, and what it found is mostly not as good
-    as it could be. This move goes on with more patience and a narrow distribution, once an optimum
-    has been left in vain, or at once where a hypothesis has led to the right place. It ends where
-    the loss hardly falls any more (`one_search.has_stalled`, with three times the patience), or
-    where the distribution is as narrow as images can tell; where hypotheses of a learned model
-    wait, as narrow as that with which other searches end.
+    A search is over soon, so that the next move can begin.  This move goes on with more patience
+    and a narrow distribution, once an optimum has been left in vain, or at once where a hypothesis
+    has led to the right place.
     """
 
     name = "refine"

@@ -2,34 +2,19 @@
 
 A candidate has two forms: z is what the distribution drew and learns from, x is the point of the
 unit cube that is rendered.  The maps between them are those of `mixed`.
-
-*When a search is over.* A search has *stalled* when its best loss has improved by less than a
-stated fraction over a stated number of generations.  It has *collapsed* when it is a thousandth of
-the box wide, which is exact enough for another search to begin; one that goes *to the end*
-collapses only where its samples are one point, for any renderer.  It is *hopeless* when it has a
-loss to beat and, at the rate of its last generations, will not.
-
-A search from hypotheses of a learned model has to be *quick* as long as its loss is still high: in
-the right place it loses a third in every few generations.
-
-That is for a search that images guide: it is quick, and moves have a use for what it found.  A
-search by losses only is slow, some of its descents wait long for the covariance, and all that
-comes after it is another beginning.  It is over only when it has *converged*: its samples differ by
-rounding, as the library `cma` has it, or no sample of very many generations was better.
 """
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from fide_plugins.options import Options
 from fide_plugins.population import Candidate, mirrored_pair, search_columns
-from fide_plugins.runtime.schema import Schema, anything, array, check, whole
+from fide_plugins.runtime.schema import Schema, Sides, Stateful, anything, each, real, side
 from fide_plugins.search.cma_es import CMAES
 from fide_plugins.search.mixed import AxisLayout, Mixed
 from fide_plugins.search.moves import Start
@@ -38,15 +23,6 @@ from fide_plugins.types import Float64
 if TYPE_CHECKING:
     from fide_plugins.search.validity import Validity
 
-__all__ = [
-    "Search",
-    "Setting",
-    "Termination",
-    "default_loss_only_patience",
-    "default_patience",
-    "has_stalled",
-    "is_hopeless",
-]
 
 _COLLAPSED = 6e-3  # of sigma0: a thousandth of the box for sigma0 = 1/6
 _TO_THE_END = 1e-7  # of sigma0: pixels are single precision, and say nothing of smaller steps
@@ -58,16 +34,8 @@ _STRICT_PATIENCE, _STRICT_IMPROVEMENT = 7 / 5, 0.3  # in units of the patience; 
 
 
 def default_patience(dim: int, popsize: int) -> int:
-    """Generations without progress that end a search: 5, more where each teaches little.
-
-    Few, because moves do more than patience (`search.moves`), and one of them goes on closely.
-    """
+    """Generations without progress that end a search: 5, more where each teaches little."""
     return max(5, dim // popsize)
-
-
-def default_loss_only_patience(dim: int, popsize: int) -> int:
-    """Generations without any improvement that end a search by losses only."""
-    return 100 + 30 * dim // popsize
 
 
 def has_stalled(history: list[float], patience: int, improvement: float) -> bool:
@@ -94,34 +62,31 @@ def is_hopeless(history: list[float], goal: float) -> bool:
     return now - _HORIZON * (before - now) / _RATE_OVER > goal
 
 
+@dataclass
 class Termination:
-    """Of one search, generation by generation.
+    """When one search is over.
+
+    Guided by images, it is over when it has *stalled* (`has_stalled`), *collapsed* (it is a
+    thousandth of the box wide), or is *hopeless* (`is_hopeless`).  By losses only it is slow, and
+    over when it has converged, or no sample of very many generations was better.
 
     sigma0: standard deviation of a search that knows nothing, one number or (d,).
     patience, improvement: of `has_stalled`.
     goal: loss that the search has to beat; +inf for none.
     loss_only_patience: generations without any improvement that end it where no image guides it.
-    strict_above: loss above which it has to be quick; +inf for none.
+    strict_above: loss above which it has to lose a third in every few generations; +inf for none.
     to_the_end: whether it goes on until its samples are one point, for any renderer.
+    history: best loss after each of the last generations, as many as are needed.
     """
 
-    def __init__(
-        self,
-        *,
-        sigma0: float | Float64,
-        patience: int,
-        improvement: float,
-        goal: float = np.inf,
-        loss_only_patience: int = 100,
-        strict_above: float = np.inf,
-        to_the_end: bool = False,
-    ) -> None:
-        self.sigma0, self.patience, self.improvement = sigma0, patience, improvement
-        self.goal, self.loss_only_patience = goal, loss_only_patience
-        self.strict_above = strict_above
-        self._narrowest = _TO_THE_END if to_the_end else _COLLAPSED
-        self.history: list[float] = []
-        """Best loss after each of the last generations, as many as anybody asks for."""
+    sigma0: float | Float64
+    patience: int
+    improvement: float
+    goal: float = np.inf
+    loss_only_patience: int = 100
+    strict_above: float = np.inf
+    to_the_end: bool = False
+    history: list[float] = field(default_factory=list)
 
     def note(self, losses: Float64) -> None:
         """Note the losses (k,) of one generation."""
@@ -135,28 +100,23 @@ class Termination:
         return round(_STRICT_PATIENCE * self.patience)
 
     def is_over(self, std: Float64, *, guided: bool = True) -> bool:
-        """Whether to look elsewhere.
+        """Whether to begin another search; guided: whether images guide it.
 
-        std: (d,), of the search distribution.  guided: whether images guide the search.
+        std: (d,), of the search distribution.
         """
         if not guided:
             converged = bool((std < _CONVERGED * self.sigma0).all())
             return converged or has_stalled(self.history, self.loss_only_patience, 0.0)
-        collapsed = bool((std < self._narrowest * self.sigma0).all())
-        if self.history and self.history[-1] > self.strict_above:
-            stalled = has_stalled(self.history, self._strict_patience, _STRICT_IMPROVEMENT)
-        else:
-            stalled = has_stalled(self.history, self.patience, self.improvement)
-        return collapsed or stalled or is_hopeless(self.history, self.goal)
-
-
-_MOST = 2**26  # candidates of a generation: the largest population, doubled as often as it can be
-_SCHEMA: Schema = {
-    "popsize": whole(2, _MOST),
-    "distribution": anything,  # which checks its own
-    "mixed": anything,
-    "history": array("h", high=np.inf),
-}
+        narrowest = _TO_THE_END if self.to_the_end else _COLLAPSED
+        strict = bool(self.history and self.history[-1] > self.strict_above)
+        progress = self.patience, self.improvement
+        if strict:
+            progress = self._strict_patience, _STRICT_IMPROVEMENT
+        return (
+            bool((std < narrowest * self.sigma0).all())
+            or has_stalled(self.history, *progress)
+            or is_hopeless(self.history, self.goal)
+        )
 
 
 @dataclass(frozen=True)
@@ -183,11 +143,18 @@ class Setting:
         return replace(start, mean=self.validity.start(start.mean, number))
 
 
-class Search:
+class Search(Stateful):
     """A search distribution, refined until it stalls, collapses, or has no hope.
 
     start: where it begins.  goal: loss that it has to beat; +inf for none.
     """
+
+    SCHEMA: ClassVar[dict[str, Schema]] = {
+        "popsize": side("popsize"),
+        "distribution": anything,  # which checks its own
+        "mixed": anything,
+        "history": each(real(high=np.inf)),
+    }
 
     def __init__(self, start: Start, goal: float, setting: Setting) -> None:
         self.setting = setting
@@ -195,7 +162,8 @@ class Search:
         self._guard = setting.options.guard_search
         self._mixed = Mixed(setting.layout)
         self._start = start
-        std = self._mixed.widened(start.std) if _is_first(start, setting) else start.std
+        is_first = np.array_equal(start.std, setting.sigma0)  # as wide, since nothing is known
+        std = self._mixed.widened(start.std) if is_first else start.std
         widest = start.widest if self._guard else np.inf
         self.distribution = CMAES(start.mean, std, self.popsize, widest=widest)
         dim, options = len(start.mean), setting.options
@@ -205,10 +173,19 @@ class Search:
             patience=start.patience * patience,
             improvement=start.improvement * options.improvement,
             goal=goal,
-            loss_only_patience=default_loss_only_patience(dim, self.popsize),
+            loss_only_patience=100 + 30 * dim // self.popsize,
             strict_above=np.inf if start.strict_above is None else start.strict_above,
             to_the_end=start.to_the_end,
         )
+
+    @property
+    def history(self) -> list[float]:
+        """Best loss after each of the last generations."""
+        return self.termination.history
+
+    @history.setter
+    def history(self, history: list[float]) -> None:
+        self.termination.history = history
 
     @property
     def mean(self) -> Float64:
@@ -304,34 +281,8 @@ class Search:
         self.distribution.mean = self._with_fixed(self.distribution.mean)
 
     def is_over(self, *, guided: bool) -> bool:
-        """Whether to look elsewhere; guided: whether images guide the search."""
+        """Whether to begin another search; guided: whether images guide it."""
         return self.termination.is_over(self.distribution.std, guided=guided)
 
-    def state_dict(self) -> dict[str, Any]:
-        """Everything that changes, and the population size."""
-        return {
-            "popsize": self.popsize,
-            "distribution": self.distribution.state_dict(),
-            "mixed": self._mixed.state_dict(),
-            "history": np.array(self.termination.history, np.float64),
-        }
-
-    @classmethod
-    def from_state(
-        cls, state: Mapping[str, Any], start: Start, goal: float, setting: Setting
-    ) -> Search:
-        """Search that goes on where `state_dict` was called; ValueError if it is none."""
-        check(state, _SCHEMA, {}, "search")
-        search = cls(start, goal, setting)
-        k, axes = search.popsize, len(search._mixed.A)
-        if state["popsize"] != k:
-            raise ValueError(f"a search of {state['popsize']} candidates, not {k}")
-        search.distribution = CMAES.from_state(state["distribution"], len(start.mean), k)
-        search._mixed.load_state_dict(state["mixed"], {"axes": axes})
-        search.termination.history = state["history"].tolist()
-        return search
-
-
-def _is_first(start: Start, setting: Setting) -> bool:
-    """Whether the search begins as wide as the first one, since nothing is known."""
-    return bool(np.array_equal(start.std, setting.sigma0))
+    def _sides(self) -> Sides:
+        return {"popsize": self.popsize, "d": len(self.mean), "axes": len(self._mixed.A)}

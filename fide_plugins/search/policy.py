@@ -1,50 +1,32 @@
-"""What the next generation is for: the optimizer uses all moves through one `MovePolicy`.
+"""What the next generation is for, and which move comes next: `MovePolicy`, used by `State`.
 
-::
-
-    search over ──> after_search ──> which move? ──> does it need to know more?
-                                                        │ EXCHANGE, REMOVAL, SENSITIVITY: learn
-                                                        ▼
-                                                     RESTART: its candidates are rendered
-                                                        │ learn
-                                                        ▼
-                                                     SEARCH, from `start`, at the best of them
-
-The incumbent is the best local optimum, until moves from it have failed often: then another one,
-or a new search (`scene.Optima`).
-
-With a learned model the run begins in RESTART, where its hypotheses are rendered; searches begin at
-the best of them before other moves are chosen (`hypotheses`).  Of a photograph DESCENT comes
-between, and first of all where there is a guess (`descents`).  After that, where no image says
-where to go on, the next search begins at once at a random place (`RandomRestart`).
-
-*A bandit chooses among moves.* The gain of a move is the fraction by which it lowered the loss, and
-0 where it failed.  Its rate is the gain per evaluation; old outcomes count less and less.  Moves
-are drawn in proportion to their rates, each with a least probability, so that none is given up:
-what helps at a loss of 0.01 may be useless at 0.001, and the other way round.  A move that was not
-tried yet is taken to be good.  (pyribs schedules its emitters alike:
-`ribs.schedulers.BanditScheduler`.)
+A search that is over leads to a move; if that must know more of the scene, to a stage that finds it
+out; then restart candidates are rendered, and the next search begins at the best of them.  Of a
+photograph a search begins with descents from a model's hypotheses or a guess (`descents`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from torch import Tensor, device
 
 from fide_plugins.population.candidate import TrainingSample
 from fide_plugins.runtime.schema import (
+    GENERATOR,
     Schema,
     Sides,
+    Stateful,
+    anything,
+    array,
     check,
     flag,
     form,
     maybe,
     real,
-    row,
     text,
     values,
     whole,
@@ -55,14 +37,12 @@ from fide_plugins.search.hypotheses import (
     AFTER_DESCENT,
     Hypotheses,
     Resample,
-    elsewhere,
     probabilities,
 )
 from fide_plugins.search.mixed import AxisLayout, Mixed
 from fide_plugins.search.moves import (
     ChangeValue,
     Coarsen,
-    Crossover,
     HalfTurn,
     Known,
     Move,
@@ -73,12 +53,9 @@ from fide_plugins.search.moves import (
     Split,
     Stage,
     Start,
-    Swap,
 )
 from fide_plugins.search.scene import Axes, Optima, Removal, Sensitivity, Values, changed
 from fide_plugins.types import Float64, Posterior
-
-__all__ = ["Choice", "MovePolicy", "Stage", "Start"]
 
 _KEEP = 0.85  # of what is known, at each outcome of the same move
 _PRIOR_TRIES = 2.0  # that the prior gain is worth
@@ -87,22 +64,30 @@ _LEAST = 1e-300  # gain or cost that can be
 _VAIN = 1e-200  # gain after thousands of vain tries, of which rates can still be compared
 
 
-class Choice:
-    """Gains and costs of the moves.
+class Choice(Stateful):
+    """A bandit that chooses among moves, by their gain per evaluation.
+
+    The gain of a move is the fraction by which it lowered the loss.  Old outcomes count less and
+    less; each move keeps a least probability, and one that was not tried yet is taken to be good.
 
     priors: of each move by its name, the gain in a try that is expected at first, above 0.
     cost: evaluations that a try takes, roughly.
     """
 
+    SCHEMA: ClassVar[dict[str, Schema]] = {
+        "gain": array("moves", low=_LEAST),
+        "cost": array("moves", low=_LEAST),
+    }
+
     def __init__(self, priors: Mapping[str, float], cost: float) -> None:
         self.names = tuple(priors)
         self._gain = _PRIOR_TRIES * np.array(list(priors.values()))
         self._cost = np.full(len(priors), _PRIOR_TRIES * cost)
-        self._untried = self._gain.copy(), self._cost.copy()
 
     def note(self, name: str, gain: float, evaluations: int) -> None:
         """Note the outcome of a move."""
         i = self.names.index(name)
+        self._gain, self._cost = self._gain.copy(), self._cost.copy()  # those of a state stay
         self._gain[i] = max(_VAIN, _KEEP * self._gain[i] + min(max(gain, 0.0), 1.0))
         self._cost[i] = _KEEP * self._cost[i] + evaluations
 
@@ -118,25 +103,8 @@ class Choice:
         """Draw one of those moves."""
         return possible[int(rng.choice(len(possible), p=self.probabilities(possible)))]
 
-    def state_dict(self) -> dict[str, Any]:
-        """Everything that changes: gain and cost of each move, by its name."""
-        pairs = zip(self._gain.tolist(), self._cost.tolist(), strict=True)
-        return {name: list(pair) for name, pair in zip(self.names, pairs, strict=True)}
-
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Put back what `state_dict` gave; a move that it lacks has not been tried.
-
-        Raises ValueError for what it cannot have given.
-        """
-        if not isinstance(state, dict):
-            raise ValueError("choice is no dict")
-        pair = row(real(_LEAST), real(_LEAST))
-        check(state, {name: pair for name in self.names if name in state}, {}, "choice")
-        gain, cost = (untried.copy() for untried in self._untried)
-        for name, (found, spent) in state.items():
-            i = self.names.index(name)
-            gain[i], cost[i] = found, spent
-        self._gain, self._cost = gain, cost
+    def _sides(self) -> Sides:
+        return {"moves": len(self.names)}
 
 
 _PLAIN: dict[str, Schema] = {
@@ -149,9 +117,9 @@ _SCHEMA: dict[str, Schema] = {
     **_PLAIN,
     "stage": text,
     "start": dict(form(Start)),
+    "rng": GENERATOR,
     "incumbent": maybe(form(TrainingSample)),
 }
-_FOUND = ("exchangeability", "removal", "sensitivity", "values")  # parts of `Known`
 _COST = 12.0  # generations that a move takes, roughly
 _CANDIDATES = 20  # restart candidates, at least
 _TOLERANCE = 3  # failures of an optimum after which the next one is tried, without blocks
@@ -203,11 +171,10 @@ class MovePolicy:
         )
         self._candidates = max(_CANDIDATES, popsize)
         self.hypotheses = Hypotheses(posterior, dim, sets=bool(groups), place=self.known.place)
-        self._refine, self._restart = Refine(), RandomRestart()
         self._resample = Resample(self.hypotheses)
         family: list[Move] = [
-            Split(), Swap(), Crossover(), HalfTurn(), RelocateGroup(), RelocateSegment(),
-            Coarsen(), self._refine, self._restart,
+            Split(), HalfTurn(), RelocateGroup(), RelocateSegment(), Coarsen(), Refine(),
+            RandomRestart(),
         ]  # fmt: skip
         if self.known.values.discrete.any():
             family.append(ChangeValue())
@@ -252,22 +219,9 @@ class MovePolicy:
         """Probabilities (m,) of answers X (m, d) with these losses; None without hypotheses."""
         if not self.hypotheses.available or not len(X):
             return None
-        return probabilities(
-            losses,
-            X,
-            hypotheses=self.hypotheses.x,
-            typical=self.hypotheses.typical,
-            noise=self.noise,
-            exchangeability=self.known.exchangeability,
-            axes=self.known.axes,
-        )
-
-    def elsewhere(self, X: Float64) -> float | None:
-        """Share of hypotheses far from all answers X (m, d); None without hypotheses."""
-        if not self.hypotheses.available or not len(X):
-            return None
-        known = self.known
-        return elsewhere(X, self.hypotheses.x, known.exchangeability, known.axes)
+        found, known = self.hypotheses, self.known
+        alike = known.exchangeability, known.axes
+        return probabilities(losses, X, found.x, found.typical, self.noise, *alike)
 
     def is_wider(self, posterior: Posterior, start: Start) -> bool:
         """Whether hypotheses of a model say less exactly than a start where the answer is."""
@@ -286,34 +240,40 @@ class MovePolicy:
         """
         self.guided = guided
         if self.hypotheses.waiting:
-            before = self.known.incumbent
-            if found is not None:
-                self._note_end(found, evaluations)
-            if guided and self._refines():
-                self.move = self._refine.name
-                self._begin_at(self.known.current.x)
-                self.start = replace(self.start, to_the_end=False)  # other hypotheses wait
-                return self._go(Stage.SEARCH)
-            if guided and self._resamples(before):
-                self.move = self._resample.name
-                return self._go(Stage.RESTART)
-            return self._begin_at_hypothesis()
+            return self._after_hypothesis(found, evaluations)
         if found is None or not guided:
             self.known.incumbent, self.guided = None, False
             self.loss_only_searches += 1
+            self.move = RandomRestart.name
+            restart = self._the_move
+            assert isinstance(restart, RandomRestart)
             number = self.loss_only_searches
-            self.start = self._restart.start_without_images(self.known, number, self._rng)
-            self.move = self._restart.name
+            self.start = restart.start_without_images(self.known, number, self._rng)
             return self._go(Stage.SEARCH)
         self._note_end(found, evaluations)
         return self._decide()
+
+    def _after_hypothesis(self, found: TrainingSample | None, evaluations: int) -> Stage:
+        """Refine what is in the right place, draw again what is open, or take the next one."""
+        before = self.known.incumbent
+        if found is not None:
+            self._note_end(found, evaluations)
+        if self.guided and self._refines():
+            self.move = Refine.name
+            self._begin_at(self.known.current.x)
+            self.start = replace(self.start, to_the_end=False)  # other hypotheses wait
+            return self._go(Stage.SEARCH)
+        if self.guided and self._resamples(before):
+            self.move = Resample.name
+            return self._go(Stage.RESTART)
+        return self._begin_at_hypothesis()
 
     def _note_end(self, found: TrainingSample, evaluations: int) -> None:
         """Note what the move brought, and who is the incumbent."""
         known, incumbent = self.known, self.known.incumbent
         left = incumbent if self.move is not None and self._the_move.from_incumbent else None
         apart = left is None or known.began_apart(self.start.mean, found.x)
-        best = known.optima.note(found, known.exchangeability.distance, from_elsewhere=apart)
+        best = known.optima.note(found, known.exchangeability.distance, from_apart=apart)
         if left is not None:
             self._choice.note(self._the_move.name, _gain(left.loss, found.loss), evaluations)
             if found.loss >= left.loss:
@@ -337,12 +297,12 @@ class MovePolicy:
         blocks = known.exchangeability.blocks
         following = known.optima.next(_TOLERANCE if blocks is None else len(blocks))
         if following is None:
-            self.move = self._restart.name
+            self.move = RandomRestart.name
             return self._go(Stage.RESTART)
         self._leave(following)
         moves = self._moves.values()
         possible = [one.name for one in moves if one.from_incumbent and one.possible(known)]
-        self.move = self._choice.draw(possible or [self._restart.name], self._rng)
+        self.move = self._choice.draw(possible or [RandomRestart.name], self._rng)
         return self._go(self._the_move.needs(known) or Stage.RESTART)
 
     def _refines(self) -> bool:
@@ -464,11 +424,9 @@ class MovePolicy:
     def _most_promising(self, samples: Sequence[TrainingSample], best: Float64) -> Float64:
         """Return the candidate (d,) at which the search begins.
 
-        The one with the lowest loss, where blocks are exchangeable or candidates are no copies of
-        the incumbent.  Elsewhere candidates of low loss are mostly those that change little, and
-        what counts is how much of an image is better than the incumbent's: the sum over tokens of
-        the lesser of the two errors.  What a move makes worse elsewhere, the search makes good
-        again.
+        Without blocks, copies of the incumbent with a low loss are mostly those that change little.
+        So what counts is how much of an image is better than the incumbent's: the sum over tokens
+        of the lesser of the two errors.  What a move makes worse, the search makes good again.
         """
         known = self.known
         blocks = known.exchangeability.blocks
@@ -476,9 +434,9 @@ class MovePolicy:
             return best
         if self.begins_coarse:  # the incumbent's tokens are of a sharp image
             return best
-        here = changed(known.current.tokens, known.target, known.channels) ** 2
+        before = changed(known.current.tokens, known.target, known.channels) ** 2
         errors = [changed(s.tokens, known.target, known.channels) ** 2 for s in samples]
-        scores = [float(np.minimum(here, error).sum()) for error in errors]
+        scores = [float(np.minimum(before, error).sum()) for error in errors]
         return samples[int(np.argmin(scores))].x
 
     @property
@@ -488,59 +446,54 @@ class MovePolicy:
 
     # -- saving ------------------------------------------------------------------------------------
 
+    @property
+    def _parts(self) -> dict[str, Any]:
+        names = ("optima", "exchangeability", "removal", "sensitivity", "values")
+        found = {name: getattr(self.known, name) for name in names}
+        parts = {"hypotheses": self.hypotheses, "descents": self.descents}
+        return found | parts | {"choice": self._choice}
+
     def state_dict(self) -> dict[str, Any]:
         """Everything that changes."""
-        known = self.known
+        incumbent = self.known.incumbent
         return {
             **{name: getattr(self, name) for name in _PLAIN},
             "stage": self.stage.value,
             "start": values(self.start),
             "rng": self._rng.bit_generator.state,
-            "incumbent": None if known.incumbent is None else known.incumbent.state_dict(),
-            "optima": known.optima.state_dict(),
-            "choice": self._choice.state_dict(),
-            "hypotheses": self.hypotheses.state_dict(),
-            "descents": self.descents.state_dict(),
-            **{name: getattr(known, name).state_dict() for name in _FOUND},
+            "incumbent": None if incumbent is None else incumbent.state_dict(),
+            **{name: part.state_dict() for name, part in self._parts.items()},
         }
 
-    def load_state_dict(self, state: Mapping[str, Any], device: device | None = None) -> None:
-        """Put back what `state_dict` gave, tokens on the device.
-
-        Raises ValueError for what it cannot have given.
-        """
+    def load_state_dict(
+        self, state: Mapping[str, Any], sides: Sides | None = None, device: device | None = None
+    ) -> None:
+        """Put back what `state_dict` gave, tokens on the device; ValueError if it is none."""
         known = self.known
         (tokens, channels), d = known.target.shape, known.dim
-        sides: Sides = {"d": d, "T": tokens, "C": channels}
-        self._check(state, sides)
-        for name, value in state.items():
-            if name in _PLAIN:
-                setattr(self, name, value)
+        sides = {"d": d, "T": tokens, "C": channels}
+        check(state, {**_SCHEMA, **dict.fromkeys(self._parts, anything)}, dict(sides), "moves")
+        self._check(state)
+        for name in _PLAIN:
+            setattr(self, name, state[name])
         self.stage, self.start = Stage(state["stage"]), Start(**state["start"])
         self._rng.bit_generator.state = state["rng"]
-        known.optima.load_state_dict(state["optima"], sides, device)
+        for name, part in self._parts.items():
+            part.load_state_dict(state[name], sides, device)
         saved = state["incumbent"]
         known.incumbent = None if saved is None else TrainingSample.from_state(saved, device)
         for optimum in known.optima.all:  # it is one of them, not a copy
             if known.incumbent is not None and np.array_equal(optimum.sample.x, known.incumbent.x):
                 known.incumbent = optimum.sample
-        self.hypotheses.load_state_dict(state["hypotheses"])
-        self.descents.load_state_dict(state["descents"])
-        self._choice.load_state_dict(state["choice"])
-        for name in _FOUND:
-            getattr(known, name).load_state_dict(state[name])
 
-    def _check(self, state: Mapping[str, Any], sides: Sides) -> None:
-        """Raise ValueError unless this can be the state of a policy for such a scene."""
-        for name, schema in _SCHEMA.items():
-            check(state[name], schema, dict(sides), f"moves[{name!r}]")
+    def _check(self, state: Mapping[str, Any]) -> None:
+        """Raise ValueError unless stage, move and incumbent fit together."""
         stage, move, moves = Stage(state["stage"]), state["move"], self._moves
-        if move is not None and move not in moves:
-            raise ValueError(f"moves['move'] is {move!r}, which is none of {', '.join(moves)}")
-        if stage in (Stage.RESTART, Stage.REMOVAL, Stage.SENSITIVITY) and move is None:
-            raise ValueError(f"moves['move'] is None in the stage {stage.value!r}")
         if stage is Stage.DESCENT and state["descents"]["round"] >= self.descents.rounds:
             raise ValueError("moves['stage'] is 'descent', and all rounds are over")
+        without = Stage.SEARCH, Stage.EXCHANGE, Stage.DESCENT
+        if move not in moves and (move is not None or stage not in without):
+            raise ValueError(f"moves['move'] is {move!r} in the stage {stage.value!r}")
         free = stage is Stage.DESCENT
         free = free or (stage is Stage.RESTART and not moves[move].from_incumbent)
         if stage is not Stage.SEARCH and not free and state["incumbent"] is None:

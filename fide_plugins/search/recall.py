@@ -1,22 +1,7 @@
 """Where the search for another picture begins, from what was rendered for earlier ones.
 
-Notation: e_i, features of the remembered images; e*, those of the new picture; b, the candidate
-whose image is nearest to it; D = |e* - e_b|, what is wrong with that image.
-
-*Losses.*  The images themselves are not kept, so their true losses to the new picture cannot be
-computed.  They are estimated from distances of features: an image gets the loss that images at its
-distance had to the old picture: if n of them were nearer, the (n + 1)-th lowest.
-
-*Step size.*  How far do parameters move when the image changes by D?  The remembered candidates
-whose images differ from that of b by about D say so: their root mean square difference from b, one
-number for each parameter.  A part of D that no parameters can remove (a photograph) was there
-before: R, the smallest distance of a remembered image to the old picture.  So D^2 - R^2 counts.
-
-*Proposers* learn from the same candidates, which are as far from b as the answer is: a secant at
-the right scale.
-
-Where blocks are exchangeable, and their order does not show, each candidate is first brought into
-the order that is nearest to b.
+It begins at the candidate b whose image is nearest to the new picture, as wide as those remembered
+candidates say whose images differ from that of b by what is wrong with it.
 """
 
 from __future__ import annotations
@@ -32,8 +17,6 @@ from fide_plugins.search.moves import Known, Start
 from fide_plugins.search.scene import APART
 from fide_plugins.types import Float64
 
-__all__ = ["Recalled", "recall"]
-
 _FEWEST = 8  # candidates that say how far parameters move
 _PATIENCE = 3  # times that of other searches
 _SMALLEST, _LARGEST = 0.01, 1.0  # standard deviation at the start, in units of sigma0
@@ -43,14 +26,11 @@ _AS_NEAR = 1.5  # times D: distance of the others of these
 
 
 class _Distances(NamedTuple):
-    """Of features of n remembered images."""
+    """Of features (n, f) of remembered images from the old and the new picture, (n,) each."""
 
     old: Float64
-    """(n,), from the old picture."""
     new: Float64
-    """(n,), from the new one."""
     features: Float64
-    """(n, f)"""
 
 
 @dataclass(frozen=True)
@@ -93,7 +73,10 @@ def recall(
 
 
 def _estimated_losses(samples: list[TrainingSample], distances: _Distances) -> Float64:
-    """Losses (n,) to the new picture, of samples with their losses to the old one."""
+    """Losses (n,) to the new picture, of samples with their losses to the old one.
+
+    An image gets the loss that images at its distance had to the old picture.
+    """
     ordered = np.sort([sample.loss for sample in samples])
     places = np.searchsorted(np.sort(distances.old), distances.new)
     losses: Float64 = ordered[np.minimum(places, len(ordered) - 1)]
@@ -115,7 +98,10 @@ def _features(tokens: Tensor, channels: int | None) -> Float64:
 
 
 def _removable(distances: _Distances, b: int) -> float:
-    """Part of D that parameters can be expected to remove."""
+    """Part of D, the distance of image b, that parameters can be expected to remove.
+
+    What no parameters can (R, the smallest distance to the old picture) was there before.
+    """
     D, R = float(distances.new[b]), float(distances.old.min())
     return float(np.sqrt(max(D**2 - R**2, (_LEAST_CHANGE * D) ** 2)))
 

@@ -1,8 +1,6 @@
-"""What has been found out about the scene: its parameters, and its local optima.
+"""What has been found out about the scene: its parameters, and its local optima (`moves.Known`).
 
-`search.moves.Known` holds all of it.  Moves use it, and so do the optimizer's solutions, their
-probabilities and their standard deviations.  Nothing here knows a move.  Which blocks of parameters
-are exchangeable is found by `search.exchangeability`.
+Nothing in this module knows a move.  `search.exchangeability` finds exchangeable blocks.
 """
 
 from __future__ import annotations
@@ -30,25 +28,12 @@ from fide_plugins.search import mixed
 from fide_plugins.search.mixed import AxisLayout, periodic_axes
 from fide_plugins.types import Float64, Indices
 
-__all__ = [
-    "APART",
-    "Axes",
-    "Optima",
-    "Optimum",
-    "Removal",
-    "Sensitivity",
-    "Values",
-    "find_parts",
-    "overlaps",
-]
-
 
 class Axes:
     """Which axes of the cube are one parameter, and which wrap around.
 
     A choice of n > 2 values has n axes, of which the largest coordinate decides: moved alone, they
-    mostly change nothing, so moves move them together.  A periodic parameter has no walls: 0.99 and
-    0.01 are close to each other.
+    mostly change nothing, so moves move them together.
 
     dim: d.  layout: what is discrete or periodic; None: nothing.
     parameter_of: (d,), number of the parameter of each axis, from 0.
@@ -80,9 +65,10 @@ class Axes:
 
         which: axes (..., m) of coordinates x and y (..., m); None: all.
         """
-        if self.periodic is None or which is None:
-            return mixed.distance(x, y, self.periodic)
-        return mixed.distance(x, y, self.periodic[which])
+        periodic = self.periodic
+        return mixed.distance(
+            x, y, periodic if periodic is None or which is None else periodic[which]
+        )
 
     def inside(self, x: Float64) -> Float64:
         """Points (..., d) of the cube: periodic axes are wrapped, all others are clipped."""
@@ -108,6 +94,10 @@ class Values(Stateful):
     def __init__(self, axes: Axes | None = None, layout: AxisLayout | None = None) -> None:
         self._axes, self._layout = axes, layout
         self.discrete = np.zeros(1, bool) if layout is None else layout.discrete
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin again, for another target."""
         self._searched = np.empty((0, int(self.discrete.sum())))  # the oldest first
 
     def others(self, x: Float64) -> Float64:
@@ -148,16 +138,10 @@ class Values(Stateful):
 
     def note(self, x: Float64) -> None:
         """Note that a search begins at the values of x (d,)."""
-        every = np.vstack([self._searched, x[self.discrete]])
-        self._searched = every[-_REMEMBERED:]
+        self._searched = np.vstack([self._searched, x[self.discrete]])[-_REMEMBERED:]
 
-    def forget(self) -> None:
-        """Begin again, for another target."""
-        self._searched = self._searched[:0]
-
-    def load_state_dict(self, state: Mapping[str, Any], sides: Sides | None = None) -> None:
-        """Put back what `state_dict` gave; ValueError for what it cannot have given."""
-        super().load_state_dict(state, {"discrete": self._searched.shape[1]})
+    def _sides(self) -> Sides:
+        return {"discrete": int(self.discrete.sum())}
 
 
 # -- blocks and groups of parameters ---------------------------------------------------------------
@@ -166,11 +150,11 @@ _LARGEST_COST = 1e300
 
 
 class Removal(Stateful):
-    """What each exchangeable block of one incumbent contributes to the image.
+    """What each exchangeable block of one incumbent contributes to the image; one render a block.
 
     Block i is overwritten by a copy of another block.  Where blocks are exchangeable, and two in
     one place look like one, that deletes block i: the loss that it costs is its *removal cost*, and
-    the tokens that change are the region that it *owns*.  One render a block.
+    the tokens that change are the region that it *owns*.
 
     costs: (n,).  owned: (n, T); both are empty before a round.
     """
@@ -239,15 +223,11 @@ _SIZE_POWER = 1.5  # of the number of parameters in the worth of a branch; measu
 
 
 def overlaps(changes: Float64) -> Float64:
-    """O (n, n) of changes (n, T) >= 0; a parameter that changes nothing overlaps with nothing.
+    """Overlap coefficients (n, n) (Simpson 1943) of changes (n, T) >= 0.
 
-    Two parameters are alike by the overlap coefficient (Simpson 1943; Vijaymeena and Kavitha 2016,
-    eq. 7) of their rows,
-
-        O_ij = sum_t min(A_it, A_jt) / min(sum_t A_it, sum_t A_jt),
-
-    which is 1 when what the weaker one changes, the stronger one changes too: a color changes the
-    whole cell, a coordinate its border only.
+    O_ij = sum_t min(A_it, A_jt) / min(sum_t A_it, sum_t A_jt) is 1 when what the weaker one
+    changes, the stronger one changes too: a color changes the whole cell, a coordinate its border
+    only.  A parameter that changes nothing overlaps with nothing.
     """
     total = changes.sum(axis=1)
     shared = np.array([np.minimum(one, changes).sum(axis=1) for one in changes])
@@ -276,11 +256,10 @@ class _Branch:
 def find_parts(overlap: Float64) -> list[Indices]:
     """Divide n parameters into parts, each an array of indices, by their overlap (n, n).
 
-    Parts are read from a dendrogram of 1 - O by the excess of mass, as clusters are in HDBSCAN
-    (Campello et al. 2015, "Hierarchical Density Estimates for Data Clustering", sec. 5): a branch
-    is one part if it lasts longer, from the height at which it forms to the height at which it
-    joins another, than its own branches do together.  So neither their number nor a threshold is
-    asked for.  All parameters together are never one part: moving them all is what a restart does.
+    Parts are read from a dendrogram of 1 - O by the excess of mass, as in HDBSCAN (Campello et al.
+    2015, sec. 5): a branch is one part if it lasts longer, from the height at which it forms to the
+    height at which it joins another, than its own branches do together.  All parameters together
+    are never one part: moving them all is what a restart does.
     """
     from scipy.cluster.hierarchy import linkage
     from scipy.spatial.distance import squareform
@@ -299,13 +278,11 @@ def find_parts(overlap: Float64) -> list[Indices]:
 
 
 class Sensitivity(Stateful):
-    """Which parameters change the same places of the image: parameter groups.
+    """Groups of parameters that change the same places of the image.
 
-    A cell, a bead, a limb, a camera: the parameters of one thing change the same places of the
-    picture, those of different things different places.  Each parameter of the incumbent is moved,
-    alone, to a random value: one render each.  The overlap of what they change says which form a
-    group.  What belongs together depends on the renderer more than on the candidate: one round
-    serves for all incumbents.
+    Each parameter of the incumbent is moved, alone, to a random value: one render each.  The
+    overlap of what they change says which form a group.  That depends on the renderer more than on
+    the candidate: one round serves for all incumbents.
 
     dim: d.  channels: leading channels of the tokens in which changes are seen; None: all.
     axes: those of one parameter, such as a choice, are moved together; None: each is a parameter.
@@ -351,9 +328,8 @@ class Sensitivity(Stateful):
         parts = find_parts(self._overlap / np.maximum(self._pairs, 1.0))
         return [np.concatenate([self._axes.axes_of[i] for i in part]) for part in parts]
 
-    def load_state_dict(self, state: Mapping[str, Any], sides: Sides | None = None) -> None:
-        """Put back what `state_dict` gave; ValueError for what it cannot have given."""
-        super().load_state_dict(state, {"p": len(self._axes.axes_of)})
+    def _sides(self) -> Sides:
+        return {"p": len(self._axes.axes_of)}
 
 
 # -- local optima ----------------------------------------------------------------------------------
@@ -384,8 +360,7 @@ class Optima:
     """Distinct local optima, best first, and how often moves from each of them failed.
 
     The next incumbent is the optimum with the lowest *score*, its rank by loss plus its failures in
-    units of a tolerance: the best one is tried first, and others when it has failed often.  A new
-    search is due when its own score is lower still.
+    units of a tolerance.  A new search is due when its own score is lower still.
 
     forgotten: searches that ended in places which are no longer remembered.
     """
@@ -402,24 +377,19 @@ class Optima:
         self.forgotten = 0
         self._descents = 0  # new ones since the best optimum was found
 
-    def __len__(self) -> int:
-        return len(self.all)
-
-    def note(
-        self, found: TrainingSample, distance: Distance, *, from_elsewhere: bool = True
-    ) -> bool:
+    def note(self, found: TrainingSample, distance: Distance, *, from_apart: bool = True) -> bool:
         """Note where a search ended; returns whether that is the best optimum so far.
 
         distance: of two points (d,), in units of the unit cube.
-        from_elsewhere: whether the search had begun apart from there.
+        from_apart: whether the search had begun apart from there.
         """
         best = not self.all or found.loss < self.all[0].sample.loss
         if best:
             self._descents = 0
         close = [o for o in self.all if distance(o.sample.x, found.x) < APART]
-        searches = int(from_elsewhere) + sum(optimum.searches for optimum in close)
+        searches = int(from_apart) + sum(optimum.searches for optimum in close)
         if close and close[0].sample.loss <= found.loss:
-            close[0].searches += int(from_elsewhere)
+            close[0].searches += int(from_apart)
             return False
         self.all = [optimum for optimum in self.all if optimum not in close]
         self.all.append(Optimum(found, searches=searches))

@@ -1,16 +1,4 @@
-"""Points that satisfy constraints: nothing else is rendered.
-
-- *Samples* that are invalid are drawn again, so that those that are rendered follow the search
-  distribution within the valid region, and the search learns from no other.
-- Where hardly any sample is valid, one is moved back to the valid point that is nearest, as far as
-  the constraints ask.
-- *Proposals* that are invalid are moved back towards the samples of which they were made: an answer
-  at the border of the valid region is found there.
-- *Tests and restart candidates* that are invalid are drawn again, or left out.
-- *A search* begins at a valid point: of random ones that which is nearest to their middle, so that
-  it lies inside rather than at a border.  Where none of them is valid, that with the smallest
-  violation is improved by CMA-ES.
-"""
+"""Points that satisfy constraints: nothing else is rendered."""
 
 from __future__ import annotations
 
@@ -24,8 +12,6 @@ from fide_plugins.search.mixed import Mixed
 from fide_plugins.space import Space
 from fide_plugins.space.constraints import constraints_not_stored, constraints_of
 from fide_plugins.types import Float64, Indices, Mask
-
-__all__ = ["Validity", "validity_of"]
 
 _ROUNDS = 200  # in which invalid samples are drawn again
 _REDRAWN = 20  # in which restart candidates are drawn
@@ -42,10 +28,14 @@ def validity_of(space: Space | None, function: object, seed: int) -> Validity | 
     constraints = constraints_of(space, function)
     if constraints is None:
         return None
-    place = Mixed(None if space is None else space.layout).clipped
-    known = function is not constraints_not_stored
-    own = function is not None
-    return Validity(constraints, constraints.explain, place, seed, is_known=known, is_own=own)
+    return Validity(
+        constraints,
+        constraints.explain,
+        Mixed(None if space is None else space.layout).clipped,
+        seed,
+        is_known=function is not constraints_not_stored,
+        is_own=function is not None,
+    )
 
 
 class Validity:

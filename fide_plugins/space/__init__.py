@@ -1,11 +1,7 @@
 """Named parameters of a renderer, and the unit cube in which they are searched.
 
-    from fide_plugins import Choice, Float, Group, Int, Space
-    space = Space(azimuth=Float(-60, 60, unit="deg"), beads=6 * Group(x=Float(0, 1), y=Float(0, 1)))
-
-`kinds`: what one parameter is.  `group`: several of them.  `space`: their names.  `layout`: numbers
-of all parameters <-> points of the cube.  `constraints`: what is valid.  `files`: dictionaries
-(JSON) and TOML.
+from fide_plugins import Choice, Float, Group, Int, Space
+space = Space(azimuth=Float(-60, 60, unit="deg"), beads=6 * Group(x=Float(0, 1), y=Float(0, 1)))
 """
 
 from fide_plugins.space.group import Group, Repeated

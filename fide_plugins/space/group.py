@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any, ClassVar, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 from fide_plugins.errors import SpaceError
 from fide_plugins.space.kinds import Choice, Float, Int, Kind
@@ -18,7 +18,6 @@ _IN_FILES = ("repeat", "type")  # keys of the file form
 class Constant:
     """What cannot be changed, and is equal where its kind and its `_key` are."""
 
-    _noun: ClassVar[str]
     _key: Any
 
     def __eq__(self, other: object) -> bool:
@@ -29,7 +28,7 @@ class Constant:
 
     def __setattr__(self, name: str, value: object) -> None:
         raise AttributeError(
-            f"a {self._noun} cannot be changed; make another one with a new {name}"
+            f"a {type(self).__name__} cannot be changed; make another one with a new {name}"
         )
 
 
@@ -45,7 +44,6 @@ class Group(Constant):
     Raises SpaceError (a ValueError).
     """
 
-    _noun = "Group"
     members: dict[str, Member]
 
     def __init__(self, members: Mapping[str, Member] | None = None, /, **named: Member) -> None:
@@ -70,7 +68,6 @@ class Group(Constant):
 class Repeated(Constant):
     """Several things of one kind, ``times * group``."""
 
-    _noun = "repeated Group"
     group: Group
     times: int
 
@@ -83,18 +80,10 @@ class Repeated(Constant):
             )
         if any(leaf.block for leaf in leaves(group.members)):
             raise SpaceError(
-                "a repeated Group cannot hold another repeated Group; write the inner ones under "
-                "names of their own"
+                f"a repeated Group cannot hold another repeated Group, as {group!r} does; write "
+                "the inner ones under names of their own"
             )
         self.__dict__.update(group=group, times=number, _key=(number, group))
-
-    def __rmul__(self, times: object) -> Repeated:
-        raise SpaceError(
-            f"a repeated Group cannot be repeated, {times!r} * ({self.times} * Group(...)); write "
-            "one number, the product"
-        )
-
-    __mul__ = __rmul__
 
     def __repr__(self) -> str:
         return f"{self.times} * {self.group!r}"
@@ -120,17 +109,20 @@ def check_members(owner: str, members: object, named: Mapping[str, object]) -> d
     if members is not None and not isinstance(members, Mapping):
         raise SpaceError(f"{owner} takes names: {owner}(x=Float(0, 1)), not {members!r}")
     given = {**(members or {}), **named}
-    if len(given) < len(members or {}) + len(named):
-        twice = next(name for name in named if name in (members or {}))
-        raise SpaceError(f"parameter {twice!r} is given twice to {owner}; drop one")
-    if not given:
-        raise SpaceError(f"{owner} needs at least one parameter: {owner}(x=Float(0, 1))")
+    if not given or len(given) < len(members or {}) + len(named):
+        raise SpaceError(
+            f"{owner} needs at least one parameter, and each of them once, not "
+            f"{[*(members or {}), *named]}; write {owner}(x=Float(0, 1))"
+        )
     for name, member in given.items():
-        _check_name(name)
+        if not isinstance(name, str) or not name.isidentifier():
+            raise SpaceError(
+                f"the name of a parameter must be an identifier (letters, digits, _), not {name!r}"
+            )
         if not isinstance(member, Float | Int | Choice | Group | Repeated):
             raise SpaceError(
-                f"parameter {name!r} must be a Float, Int, Choice or Group, not {member!r}"
-                f"{_remedy(member)}"
+                f"parameter {name!r} must be a Float, Int, Choice or Group, such as Float(0, 1), "
+                f"not {member!r}"
             )
     return given
 
@@ -148,27 +140,3 @@ def leaves(
                 yield from leaves(member.group.members, f"{name}[{i}].", (name, i))
         else:
             yield Leaf(name, member, block)
-
-
-def _check_name(name: object) -> None:
-    if not isinstance(name, str):
-        raise SpaceError(
-            f"the name of a parameter must be a text, not {name!r}; write it in quotes"
-        )
-    if not name.isidentifier():
-        shape = "".join(c if c.isalnum() else "_" for c in name) or "x"
-        better = shape if shape.isidentifier() else f"_{shape}"
-        raise SpaceError(
-            f"the name of a parameter must be an identifier (letters, digits, _), not {name!r}; "
-            f"call it {better!r}"
-        )
-
-
-def _remedy(member: object) -> str:
-    if isinstance(member, type) and issubclass(member, Float | Int | Choice | Group):
-        return f"; call it: {member.__name__}(...)"
-    if isinstance(member, tuple | list) and len(member) == 2:
-        return f"; write Float({member[0]!r}, {member[1]!r})"
-    if isinstance(member, Mapping):
-        return "; write Group(...), or Space.from_dict for plain data"
-    return ""

@@ -21,102 +21,21 @@ the second.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Iterable
-from dataclasses import dataclass, field
-from functools import wraps
-from inspect import Parameter, signature
-from typing import Any, ClassVar, NamedTuple, TypeAlias, TypeVar
+import sys
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field, fields
+from typing import Any, ClassVar, NamedTuple, TypeAlias
 
-from fide_plugins.errors import SpaceError, did_you_mean
-from fide_plugins.validation.points import as_real, as_whole, whole_instead
+from fide_plugins.errors import SpaceError
+from fide_plugins.validation.points import as_real, as_whole
 
-__all__ = ["Choice", "Float", "Int", "Kind", "Scale", "is_synonym", "right_word"]
-
-T = TypeVar("T")
+__all__ = ["Choice", "Float", "Int", "Kind", "Scale"]
 
 _MOST_CELLS = 2**40  # of an axis; beyond, doubles do not tell the cells of a logarithmic axis apart
-_LARGEST_INT = 2**53  # doubles hold every whole number up to it
-_LARGEST_LOG = 2**44  # beyond, doubles do not tell the logarithms of neighbors well apart
+_LARGEST_INT = 2**44  # beyond, doubles do not tell the ends of cells well apart, nor logarithms
 _MOST_CHOICES = 1000
 _OFF_GRID = 1e-6  # of a step, by which a value may miss the grid
 _LEAST_STEP = 16  # units in the last place of the largest value
-_SYNONYMS = {
-    "low": ("min", "minimum", "lower", "lower_bound", "lo", "start", "from"),
-    "high": ("max", "maximum", "upper", "upper_bound", "hi", "stop", "end", "to"),
-    "unit": ("units",),
-    "log": ("logarithmic", "log_scale", "logscale", "logspace"),
-    "periodic": ("wrap", "wraps", "wrapped", "cyclic", "circular", "angle"),
-    "step": ("steps", "stride", "increment", "spacing", "q"),
-    "values": ("value", "choices", "options", "categories", "items"),
-}
-_OF = {synonym: word for word, synonyms in _SYNONYMS.items() for synonym in synonyms}
-
-
-# -- arguments -------------------------------------------------------------------------------------
-
-
-def is_synonym(name: str) -> bool:
-    """Whether other libraries and users have this word for something that a parameter has."""
-    return name.lower() in _OF
-
-
-def right_word(name: object, known: Iterable[str]) -> str:
-    """End of a message about a name that is not known: the word that is meant, if that is clear.
-
-    >>> right_word("units", ["low", "unit"]), right_word("hihg", ["high"]), right_word("x", ["low"])
-    ("; did you mean 'unit'?", "; did you mean 'high'?", '')
-    """
-    words = list(known)
-    word = _OF.get(str(name).lower())
-    return f"; did you mean {word!r}?" if word in words else did_you_mean(name, words)
-
-
-def _explained(usage: str) -> Callable[[type[T]], type[T]]:
-    """Decorator of a class whose constructor says which argument is wrong, and what is right."""
-
-    def decorate(cls: type[T]) -> type[T]:
-        init: Any = vars(cls)["__init__"]
-        of_class = signature(init)
-
-        @wraps(init)
-        def checked(self: T, *args: Any, **kwargs: Any) -> None:
-            try:
-                of_class.bind(self, *args, **kwargs)
-            except TypeError:
-                _explain(cls.__name__, list(of_class.parameters.values())[1:], args, kwargs, usage)
-                raise
-            init(self, *args, **kwargs)
-
-        setattr(cls, "__init__", checked)  # noqa: B010  # of a class that may be anything
-        return cls
-
-    return decorate
-
-
-def _explain(
-    kind: str, parameters: list[Parameter], args: Any, kwargs: dict[str, Any], usage: str
-) -> None:
-    """Raise SpaceError for arguments that do not fit the parameters."""
-    names = [p.name for p in parameters if p.kind is not Parameter.VAR_POSITIONAL]
-    positional = [p.name for p in parameters if p.kind is Parameter.POSITIONAL_OR_KEYWORD]
-    for name in kwargs:
-        if name not in names:
-            takes = f"it takes {', '.join(names)}" if names else f"write {usage}"
-            raise SpaceError(f"{kind} has no argument {name!r}; {takes}{right_word(name, names)}")
-    if len(args) > len(positional):
-        raise SpaceError(
-            f"{kind} takes {' and '.join(positional)} by position and all else by name, not "
-            f"{len(args)} values; write {usage}"
-        )
-    for name in positional[: len(args)]:
-        if name in kwargs:
-            raise SpaceError(f"{kind} has {name} by position and by name; write {usage}")
-    for name in positional[len(args) :]:
-        if name not in kwargs:
-            raise SpaceError(f"{kind} needs {name}; write {usage}")
-
-
-# -- kinds -----------------------------------------------------------------------------------------
 
 
 class Scale(NamedTuple):
@@ -128,29 +47,102 @@ class Scale(NamedTuple):
     log: bool
 
 
+@dataclass(frozen=True, repr=False)
 class _Number:
     """What `Float` and `Int` share: one axis, from low to high."""
 
+    type: ClassVar[str]
+    width: ClassVar[int] = 1
     low: Any
     high: Any
-    step: Any
-    log: bool
+    unit: str | None = field(default=None, kw_only=True)
+    log: bool = field(default=False, kw_only=True)
+    step: Any = field(default=None, kw_only=True)
 
     def __repr__(self) -> str:
-        return _show(self, "low", "high")
-
-    @property
-    def width(self) -> int:
-        """Number of axes."""
-        return 1
+        """Return the expression that makes it, without what is as by default."""
+        words = [repr(self.low), repr(self.high)]
+        for each in fields(self)[2:]:
+            if getattr(self, each.name) != each.default:
+                words.append(f"{each.name}={getattr(self, each.name)!r}")
+        return f"{type(self).__name__}({', '.join(words)})"
 
     @property
     def scale(self) -> Scale:
         """Its numbers."""
         return Scale(self.low, self.high, self.step or 0.0, self.log)
 
+    def number(self, name: str, value: Any) -> float:
+        """Number of a value; SpaceError, with the parameter's `name`, if it is none of its own."""
+        number = as_real(value)
+        if number is not None and self.low <= number <= self.high:
+            steps = 0.0 if self.step is None else (number - self.low) / self.step
+            if abs(steps - round(steps)) <= self._off_grid:
+                return number
+        raise SpaceError(
+            f"parameter {name!r} must be a value of {self!r}, not {value!r}; change the value, or "
+            "the parameter"
+        )
 
-@_explained("Float(0, 1)")
+    @property
+    def _apart(self) -> float:
+        """Distance of two neighboring doubles where they are largest."""
+        return math.ulp(max(abs(self.low), abs(self.high)))
+
+    @property
+    def _off_grid(self) -> float:
+        """Part of a step by which a value may miss the grid: what rounding its digits can do."""
+        return 0.0 if self.step is None else max(_OFF_GRID, 2 * self._apart / self.step)
+
+    def _convert(
+        self, convert: Callable[[Any], float | None], most: float, rule: str, *names: str
+    ) -> None:
+        """Replace what was given for these names by its number."""
+        for name in names:
+            number = convert(getattr(self, name))
+            if number is None or not abs(number) <= most:
+                self._require(False, f"{name} must be {rule}, not {getattr(self, name)!r}")
+            object.__setattr__(self, name, number)
+
+    def _require(self, condition: bool, rule: str) -> None:
+        if not condition:
+            raise SpaceError(f"{self!r}: {rule}")
+
+    def _check(self) -> None:
+        """Raise SpaceError unless the range can be searched."""
+        low, high, step, log = self.low, self.high, self.step, self.log
+        self._require(
+            self.unit is None or isinstance(self.unit, str), 'unit must be a text, such as "deg"'
+        )
+        self._require(isinstance(log, bool), "log must be true or false, without quotes")
+        self._require(
+            low < high, "low must be less than high; swap them, or use Choice for a constant"
+        )
+        self._require(
+            not log or (low > 0 and math.log(low) < math.log(high)),
+            "the logarithm needs low > 0, and ends that differ in it; raise low, or drop log",
+        )
+        half = 0 if step is None else step / 2
+        self._require(
+            math.isfinite((high + half) - (low - half)),
+            "high - low and a step must be finite; take a narrower range",
+        )
+        if step is None:
+            return
+        self._require(
+            0 < step <= (high - low) * (1 + abs(self._off_grid)),
+            "step must lie in (0, high - low]; take another one, or leave it out",
+        )
+        self._require(
+            (high - low) / step < _MOST_CELLS
+            and (isinstance(step, int) or step >= _LEAST_STEP * self._apart),
+            "there may be at most 2^40 values, with steps 16 times as wide as doubles are apart "
+            "there; take a wider step, or a narrower range near 0",
+        )
+        steps = math.floor((high - low) / step + self._off_grid)
+        object.__setattr__(self, "high", min(high, low + steps * step))
+
+
 @dataclass(frozen=True, repr=False)
 class Float(_Number):
     """A real number in [low, high].
@@ -158,9 +150,9 @@ class Float(_Number):
     low, high: finite, low < high.
     unit: for people, such as "deg" or "m".
     log: whether its logarithm is searched; low must be above 0.
-    periodic: whether high is the same as low, as for an angle; the search wraps around.
     step: only low, low + step, ... are meant; high becomes the last of them.  It must be at least
         16 times as wide as doubles are apart there.  None: every number.
+    periodic: whether high is the same as low, as for an angle; the search wraps around.
 
     Raises SpaceError (a ValueError).
     """
@@ -168,49 +160,33 @@ class Float(_Number):
     type: ClassVar[str] = "float"
     low: float
     high: float
-    unit: str | None = field(default=None, kw_only=True)
-    log: bool = field(default=False, kw_only=True)
-    periodic: bool = field(default=False, kw_only=True)
     step: float | None = field(default=None, kw_only=True)
+    periodic: bool = field(default=False, kw_only=True)
 
     def __post_init__(self) -> None:
-        low, high = (_real(self, name, getattr(self, name)) for name in ("low", "high"))
-        _check_range(self, low, high)
-        _check_settings(self)
-        if self.log and low <= 0:
-            _refuse(self, f"the logarithm needs low > 0, not {low}", "raise low, or drop log")
-        if self.step is not None:
-            step = _real(self, "step", self.step)
-            high = _last_on_grid(self, low, high, step)
-            object.__setattr__(self, "step", step)
-        object.__setattr__(self, "low", low)
-        object.__setattr__(self, "high", high)
+        names = ("low", "high") if self.step is None else ("low", "high", "step")
+        self._convert(as_real, sys.float_info.max, "a finite number", *names)
+        self._require(
+            isinstance(self.periodic, bool), "periodic must be true or false, without quotes"
+        )
+        self._require(
+            [bool(self.log), self.periodic, self.step is not None].count(True) <= 1,
+            "log, periodic and step do not go together; drop all but one",
+        )
+        self._check()
 
     def value(self, number: float) -> float:
         """Value of a number of the scale."""
         return float(number)
 
-    def number(self, name: str, value: Any) -> float:
-        """Number of a value; SpaceError, with the parameter's `name`, if it is none of its own."""
-        number = as_real(value)
-        if number is None or not self.low <= number <= self.high:
-            raise SpaceError(_outside(name, self, f"a number in [{self.low}, {self.high}]", value))
-        if self.step is not None:
-            steps = (number - self.low) / self.step
-            if abs(steps - round(steps)) > _off_grid(self.low, self.high, self.step):
-                rule = f"one of {self.low}, {self.low + self.step}, ... {self.high}"
-                raise SpaceError(_outside(name, self, rule, value))
-        return number
 
-
-@_explained("Int(1, 8)")
 @dataclass(frozen=True, repr=False)
 class Int(_Number):
     """A whole number in [low, high], both included.
 
-    low, high: whole, at most 2^53 from zero, low < high, at most 2^40 values.
+    low, high: whole, at most 2^44 from zero, low < high, at most 2^40 values.
     unit: for people.
-    log: whether its logarithm is searched; low must be above 0, high at most 2^44.
+    log: whether its logarithm is searched; low must be above 0, step 1.
     step: only low, low + step, ... are meant; high becomes the last of them.
 
     Raises SpaceError (a ValueError).
@@ -219,42 +195,26 @@ class Int(_Number):
     type: ClassVar[str] = "int"
     low: int
     high: int
-    unit: str | None = field(default=None, kw_only=True)
-    log: bool = field(default=False, kw_only=True)
     step: int = field(default=1, kw_only=True)
 
     def __post_init__(self) -> None:
-        low, high, step = (_whole(self, n, getattr(self, n)) for n in ("low", "high", "step"))
-        _check_range(self, low, high)
-        _check_settings(self)
-        if self.log and low <= 0:
-            _refuse(self, f"the logarithm needs low >= 1, not {low}", "raise low, or drop log")
-        if self.log and step != 1:
-            _refuse(self, f"log needs step 1, not {step}", "drop one of them")
-        high = int(_last_on_grid(self, low, high, step))
-        if self.log and high > _LARGEST_LOG:
-            rule = f"the logarithm needs high <= 2^44, not {high}"
-            _refuse(self, f"{rule}: doubles do not tell neighbors apart", "lower high, or drop log")
-        for name, value in (("low", low), ("high", high), ("step", step)):
-            object.__setattr__(self, name, value)
+        rule = "a whole number of at most 2^44 (Float takes real numbers)"
+        self._convert(as_whole, _LARGEST_INT, rule, "low", "high", "step")
+        self._require(
+            not self.log or self.step == 1,
+            f"the logarithm needs step 1, not {self.step}; drop one of them",
+        )
+        self._check()
+
+    @property
+    def _off_grid(self) -> float:
+        return 0.0
 
     def value(self, number: float) -> int:
         """Value of a number of the scale."""
         return int(number)
 
-    def number(self, name: str, value: Any) -> float:
-        """Number of a value; SpaceError, with the parameter's `name`, if it is none of its own."""
-        number = as_real(value)
-        if number is None or not self.low <= number <= self.high or number != round(number):
-            rule = f"a whole number in [{self.low}, {self.high}]"
-            raise SpaceError(_outside(name, self, rule, value))
-        if (round(number) - self.low) % self.step:
-            rule = f"one of {self.low}, {self.low + self.step}, ... {self.high}"
-            raise SpaceError(_outside(name, self, rule, value))
-        return number
 
-
-@_explained("Choice('a', 'b')")
 @dataclass(frozen=True, init=False, repr=False, eq=False)
 class Choice:
     """One of some values without an order: texts, numbers, anything hashable.
@@ -269,17 +229,22 @@ class Choice:
     values: tuple[Any, ...]
 
     def __init__(self, *values: Hashable) -> None:
-        object.__setattr__(self, "values", values)
         if not 0 < len(values) <= _MOST_CHOICES:
-            rule = f"needs 1 to {_MOST_CHOICES} values, not {len(values)}"
-            raise SpaceError(f"Choice {rule}; write them one by one: Choice('a', 'b')")
-        if len(values) == 1 and isinstance(values[0], list | tuple | set | frozenset | dict):
-            raise SpaceError(f"Choice takes its values one by one: Choice(*{values[0]!r})")
-        index: dict[Any, int] = {}
-        for value in values:
-            _check_choice(value, index)
-            index[value] = len(index)
-        object.__setattr__(self, "_index", index)
+            raise SpaceError(
+                f"Choice needs 1 to {_MOST_CHOICES} values, not {len(values)}; write them one by "
+                "one: Choice('a', 'b')"
+            )
+        try:
+            index = {value: i for i, value in enumerate(values)}
+        except TypeError as error:
+            raise SpaceError(
+                f"Choice takes values one by one, Choice('a', 'b'), not {values!r}: {error}"
+            ) from None
+        if len(index) < len(values) or any(value != value for value in values):
+            raise SpaceError(
+                f"the values of Choice must differ, and equal themselves, not {values!r}; drop one"
+            )
+        self.__dict__.update(values=values, _index=index)
 
     def __repr__(self) -> str:
         return f"Choice({', '.join(map(repr, self.values))})"
@@ -310,129 +275,13 @@ class Choice:
 
     def number(self, name: str, value: Any) -> float:
         """Index of a value; SpaceError, with the parameter's `name`, if it is none of its own."""
-        index: dict[Any, int] = self.__dict__["_index"]
         try:
-            found = index.get(value)
-        except TypeError:  # not hashable
-            found = None
-        if found is None:
-            rule = f"one of {', '.join(map(repr, self.values))}"
-            raise SpaceError(_outside(name, self, rule, value))
-        return float(found)
+            return float(self.__dict__["_index"][value])
+        except (KeyError, TypeError):  # or not hashable
+            raise SpaceError(
+                f"parameter {name!r} must be one of {', '.join(map(repr, self.values))}, not "
+                f"{value!r}; change the value, or the parameter"
+            ) from None
 
 
 Kind: TypeAlias = Float | Int | Choice
-
-
-# -- checks ----------------------------------------------------------------------------------------
-
-
-def _show(kind: Any, *positional: str) -> str:
-    """Return the expression that makes it, without what is as by default."""
-    words = [repr(getattr(kind, name)) for name in positional]
-    for name, parameter in kind.__dataclass_fields__.items():
-        if name not in positional and getattr(kind, name) != parameter.default:
-            words.append(f"{name}={getattr(kind, name)!r}")
-    return f"{type(kind).__name__}({', '.join(words)})"
-
-
-def _refuse(kind: Any, rule: str, remedy: str) -> None:
-    raise SpaceError(f"{_show(kind, 'low', 'high')}: {rule}; {remedy}")
-
-
-def _outside(name: str, kind: Kind, rule: str, value: Any) -> str:
-    hint = f"; change the value, or the parameter {kind!r}"
-    return f"parameter {name!r} must be {rule}, not {value!r}{hint}"
-
-
-def _real(kind: Any, name: str, value: Any) -> float:
-    number = as_real(value)
-    if number is None or not math.isfinite(number):
-        _refuse(kind, f"{name} must be a finite number, not {value!r}", f"give {name} as a number")
-    assert number is not None
-    return number
-
-
-def _whole(kind: Any, name: str, value: Any) -> int:
-    number = as_whole(value)
-    if number is None or abs(number) > _LARGEST_INT:
-        instead = whole_instead(value)
-        small = instead is not None and abs(instead) <= _LARGEST_INT
-        remedy = f"write {instead}" if small else "use Float for real numbers"
-        _refuse(kind, f"{name} must be a whole number of at most 2^53, not {value!r}", remedy)
-    assert number is not None
-    return number
-
-
-def _check_range(kind: Any, low: float, high: float) -> None:
-    if not low < high:
-        _refuse(kind, "low must be less than high", "swap them, or use Choice for a constant")
-    if not math.isfinite(high - low):
-        _refuse(kind, "high - low must be finite", "take a narrower range")
-    if kind.log and low > 0 and not math.log(low) < math.log(high):
-        _refuse(kind, "doubles cannot tell the logarithms of low and high apart", "drop log")
-
-
-def _check_settings(kind: Any) -> None:
-    if kind.unit is not None and not isinstance(kind.unit, str):
-        _refuse(kind, f"unit must be a text, not {kind.unit!r}", 'write it as "deg"')
-    for name in ("log", "periodic"):
-        if not isinstance(getattr(kind, name, False), bool):
-            value = getattr(kind, name)
-            rule = f"{name} must be true or false, not {value!r}"
-            _refuse(kind, rule, f"set {name} to true, without quotes, or leave it out")
-    if kind.log and getattr(kind, "periodic", False):
-        _refuse(kind, "a logarithm does not wrap around", "drop log or periodic")
-    if getattr(kind, "periodic", False) and kind.step is not None:
-        _refuse(kind, "a range with steps does not wrap around", "drop step or periodic")
-
-
-def _last_on_grid(kind: Any, low: float, high: float, step: float) -> float:
-    """Largest of low, low + step, ... that is at most high, but for rounding."""
-    whole = isinstance(kind, Int)
-    off = 0.0 if whole or step <= 0 else _off_grid(low, high, step)
-    if not 0 < step <= (high - low) * (1 + off):
-        remedy = "take a smaller step" if step > 0 else "take one above 0, or leave it out"
-        _refuse(kind, f"step must lie in (0, high - low], not {step}", remedy)
-    if kind.log and not whole:
-        _refuse(kind, "a logarithm has no steps here", "drop log or step")
-    if not math.isfinite((high + step / 2) - (low - step / 2)):
-        rule = "high - low, with half a step beyond either end, must be finite"
-        _refuse(kind, rule, "take a narrower range")
-    if (high - low) / step >= _MOST_CELLS:
-        remedy = "take a narrower range" if kind.log else "take a wider step"
-        _refuse(kind, f"at most 2^40 values, not {(high - low) / step:.3g}", remedy)
-    if whole:
-        return low + (high - low) // step * step
-    apart = _apart(low, high)
-    if step < _LEAST_STEP * apart:
-        rule = f"doubles there are {apart:.2g} apart, too far for a step of {step}"
-        _refuse(kind, rule, "take a wider step, or a range near 0 and add the offset in render")
-    return min(high, low + math.floor((high - low) / step + off) * step)
-
-
-def _off_grid(low: float, high: float, step: float) -> float:
-    """Part of a step by which a value may miss the grid: what rounding its digits can do."""
-    return max(_OFF_GRID, 2 * _apart(low, high) / step)
-
-
-def _apart(low: float, high: float) -> float:
-    """Distance of two neighboring doubles where they are largest."""
-    return math.ulp(max(abs(low), abs(high)))
-
-
-def _check_choice(value: Any, others: dict[Any, int]) -> None:
-    try:
-        known = value in others
-    except TypeError:
-        kind = type(value).__name__
-        raise SpaceError(
-            f"a value of Choice must be hashable, not {value!r}; a {kind} is not: use a text or a "
-            "tuple"
-        ) from None
-    if known:
-        raise SpaceError(
-            f"the values of Choice must differ, but {value!r} is there twice; drop one"
-        )
-    if value != value:
-        raise SpaceError(f"a value of Choice must be equal to itself, not {value!r}; use a text")

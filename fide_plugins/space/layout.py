@@ -6,8 +6,6 @@ A number v of an axis with log is t = log v, otherwise t = v; an axis with steps
 beyond either end, so that n numbers are n equal cells:
 
     x = (t(v) - bottom) / length,  bottom = t(low - step / 2),  length = t(high + step / 2) - bottom
-
-v is a number less the origin of its axis: low, for integers far from zero, else 0.
 """
 
 from __future__ import annotations
@@ -22,7 +20,6 @@ from fide_plugins.types import Float64, Indices, Mask
 
 __all__ = ["Layout"]
 
-_FAR = 2.0**50  # steps from zero
 _CHOSEN, _NOT_CHOSEN = 0.75, 0.25  # coordinates of a choice, in the middle of their halves
 
 
@@ -54,22 +51,10 @@ class Layout:
         )
         self._log = np.array([scale.log for scale in scales], bool)
         self._any_log, self._any_step = bool(self._log.any()), bool(self._step.any())
-        self._count_from_low()
-        self._any_far = bool(self._far.any())
         self._bottom = self._scaled(self._low - self._step / 2)
         self._length = self._scaled(self._high + self._step / 2) - self._bottom
         self.stepped = np.zeros(self.dim, bool)
         self.stepped[self._axis] = self._step > 0
-
-    def _count_from_low(self) -> None:
-        """Count integers from low where doubles are too coarse for halves of their steps.
-
-        Everywhere else the origin is 0, so that results keep their last digits.
-        """
-        largest = np.maximum(abs(self._low), abs(self._high))
-        self._far = ~self._log & (self._step > 0) & (largest / _FAR >= self._step)
-        self._origin = np.where(self._far, self._low, 0.0)
-        self._low, self._high = self._low - self._origin, self._high - self._origin
 
     def _of(self, kinds: Sequence[Kind]) -> list[Kind]:
         return [kinds[i] for i in self._one]
@@ -84,21 +69,20 @@ class Layout:
 
     def numbers(self, X: Float64) -> Float64:
         """V (n, p) of points (n, d), also of points outside of the cube."""
-        if len(self._one) == self.count == self.dim and not self._any_far:
+        if len(self._one) == self.count == self.dim:
             return self._rounded(X)
         V = np.zeros((len(X), self.count))
-        values = self._rounded(X[:, self._axis])
-        V[:, self._one] = np.add(values, self._origin, out=values, where=self._far)
+        V[:, self._one] = self._rounded(X[:, self._axis])
         for i, block in zip(self._many, self.choices, strict=True):
             V[:, i] = X[:, block].argmax(axis=1)
         return V
 
     def points(self, V: Float64) -> Float64:
         """X (n, d) of numbers (n, p), in the middle of their cells."""
-        if len(self._one) == self.count == self.dim and not self._any_far:
+        if len(self._one) == self.count == self.dim:
             return self._placed(V)
         X = np.empty((len(V), self.dim))
-        X[:, self._axis] = self._placed(V[:, self._one] - self._origin)
+        X[:, self._axis] = self._placed(V[:, self._one])
         for i, block in zip(self._many, self.choices, strict=True):
             X[:, block] = _one_hot(V[:, i].astype(np.intp), block.stop - block.start)
         return X

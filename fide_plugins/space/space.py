@@ -30,9 +30,8 @@ Params = dict[str, Any]
 
 _CONSTRAINTS = "constraints"
 _NO_PARAMETER = (
-    "no parameter may be called 'constraints', which are conditions on the parameters; call it "
-    'otherwise, and write constraints={"wall": "inner < 0.6 * outer"}, in a file [constraints] and '
-    'below it wall = "inner < 0.6 * outer"'
+    "no parameter may be called 'constraints', which are conditions on the parameters: call it "
+    'otherwise, or write constraints={"wall": "inner < 0.6 * outer"}'
 )
 
 
@@ -54,16 +53,12 @@ class Space(Constant):
     constraints: conditions by name, ``{"wall": "inner < 0.6 * outer"}`` (`space.constraints`);
         nothing else is rendered.  So no parameter may be called "constraints".
 
-    A space cannot be changed; spaces of the same parameters in the same order, with the same
-    constraints, are equal.
-
     layout: where each parameter lies in the cube.
 
-    Raises SpaceError (a ValueError) if a name is no identifier, something is none of these kinds,
-    a constraint is no condition on the parameters, or nothing is left to search.
+    A space cannot be changed; spaces of the same parameters in the same order, with the same
+    constraints, are equal.  Raises SpaceError (a ValueError).
     """
 
-    _noun = "Space"
     layout: Layout
     _members: dict[str, Member]
     _expressions: tuple[Expression, ...]
@@ -161,14 +156,11 @@ class Space(Constant):
 
         Groups are dictionaries, repeated ones lists of dictionaries.  Raises PointsError.
         """
-        return self._decoded(as_point(x, self.dim)[None])[0]
+        return self.decode_many(as_point(x, self.dim)[None])[0]
 
     def decode_many(self, X: object) -> list[Params]:
         """Values of points X (n, dim) of the cube, see `decode`."""
-        return self._decoded(as_points(X, self.dim))
-
-    def _decoded(self, X: Float64) -> list[Params]:
-        numbers = self.layout.numbers(X).tolist()
+        numbers = self.layout.numbers(as_points(X, self.dim)).tolist()
         kinds = [leaf.kind for leaf in self._leaves]
         rows = ([k.value(n) for k, n in zip(kinds, row, strict=True)] for row in numbers)
         return [_nested(self._members, iter(row)) for row in rows]
@@ -176,10 +168,8 @@ class Space(Constant):
     def encode(self, params: Mapping[str, Any]) -> Float64:
         """Point (dim,) of `params`, as of `decode`: decode(encode(p)) is p but for rounding.
 
-        An integer or a choice is put in the middle of its cell.
-
-        Raises SpaceError (a ValueError) if a name is missing or unknown, or a value is out of its
-        range.
+        An integer or a choice is put in the middle of its cell.  Raises SpaceError (a ValueError)
+        if a name is missing or unknown, or a value is out of its range.
         """
         x: Float64 = self.encode_many([params])[0]
         return x
@@ -220,9 +210,9 @@ class Space(Constant):
         """
         from fide_plugins.space import files
 
-        if not isinstance(data, Mapping) or _CONSTRAINTS not in data:
+        constraints = data.get(_CONSTRAINTS) if isinstance(data, Mapping) else None
+        if constraints is None:
             return cls(files.from_dict(data))
-        constraints = data[_CONSTRAINTS]
         _expressions(constraints)  # it may be meant as a parameter, perhaps the only one
         members = {key: value for key, value in data.items() if key != _CONSTRAINTS}
         return cls(files.from_dict(members), constraints=constraints)
@@ -297,43 +287,29 @@ def _nested(members: Mapping[str, Member], values: Iterator[Any]) -> Params:
 
 def _numbers(members: Mapping[str, Member], params: object, prefix: str) -> Iterator[float]:
     """Numbers of the parameters below, in order; `prefix` is that of their flat names."""
-    values = _checked(members, params, prefix)
+    if not isinstance(params, Mapping):
+        what = repr(prefix[:-1]) if prefix else "params"
+        names = ", ".join(members)
+        raise SpaceError(f"{what} must be a dictionary with the keys {names}, not {params!r}")
+    for key in params:
+        if key not in members:
+            raise SpaceError(
+                f"unknown parameter {f'{prefix}{key}'!r}; known are {', '.join(members)}"
+                f"{did_you_mean(key, members)}"
+            )
+    if missing := [repr(prefix + key) for key in members if key not in params]:
+        raise SpaceError(f"missing parameter {', '.join(missing)}; give a value for each")
     for key, member in members.items():
-        name, value = prefix + key, values[key]
+        name, value = prefix + key, params[key]
         if isinstance(member, Group):
             yield from _numbers(member.members, value, f"{name}.")
         elif isinstance(member, Repeated):
-            for i, each in enumerate(_listed(name, member, value)):
+            if not isinstance(value, list | tuple) or len(value) != member.times:
+                raise SpaceError(
+                    f"parameter {name!r} must be a list of {member.times} dictionaries, not "
+                    f"{value!r}"
+                )
+            for i, each in enumerate(value):
                 yield from _numbers(member.group.members, each, f"{name}[{i}].")
         else:
             yield member.number(name, value)
-
-
-def _checked(members: Mapping[str, Member], params: object, prefix: str) -> Mapping[str, Any]:
-    """`params` if they are a dictionary of just these names."""
-    where = f"{prefix[:-1]!r}" if prefix else "params"
-    if not isinstance(params, Mapping):
-        names = ", ".join(members)
-        raise SpaceError(f"{where} must be a dictionary with the keys {names}, not {params!r}")
-    for key in params:
-        if key not in members:
-            flat = prefix + key if isinstance(key, str) else key
-            raise SpaceError(
-                f"unknown parameter {flat!r}; known are {', '.join(members)}"
-                f"{did_you_mean(key, members)}"
-            )
-    missing = [prefix + key for key in members if key not in params]
-    if missing:
-        raise SpaceError(
-            f"missing parameter {', '.join(map(repr, missing))}; give a value for each"
-        )
-    return params
-
-
-def _listed(name: str, member: Repeated, value: object) -> Sequence[Any]:
-    if isinstance(value, str) or not isinstance(value, Sequence) or len(value) != member.times:
-        got = f"{len(value)} entries" if isinstance(value, Sequence) else repr(value)
-        raise SpaceError(
-            f"parameter {name!r} must be a list of {member.times} dictionaries, not {got}"
-        )
-    return value

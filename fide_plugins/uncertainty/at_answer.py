@@ -1,26 +1,4 @@
-"""How sure an answer is, by renders around it: `std` that does not depend on the search's path.
-
-Notation: x (p,), numbers of the answer; I (M,), its image; J (p, M), how the image changes with
-each parameter, by central differences; r (M,), what the target has and I has not; all weighted as
-in the loss.  Images of several views, and their colors, are joined in M.
-
-The parameters are those of least squares: an error e (M,) of the picture moves them by A^-1 J e,
-with A = J J^T.  So far the truth may be away:
-
-1. *Noise, and what the renderer cannot draw.*  The residual stands for e: had it the same
-   correlations elsewhere in the picture, the covariance would be A^-1 B A^-1, B = J E[e e^T] J^T,
-   from the spectrum of r (a sandwich covariance, White 1982).  With independent pixels that is
-   sigma^2 A^-1; what covers many pixels counts as few.
-2. *Brightness, and what the search has left.*  If the light were free, each color with its own
-   gain and offset, both planes over the picture, the parameters would be elsewhere by D (p,).  The
-   square of D is added, as far as it exceeds what noise explains, and no less than the square of
-   the Gauss-Newton step A^-1 J r, which a search has left.
-3. *What nothing shows.*  The prior is uniform in the cube, variance 1 / 12.  Less than rounding to
-   8 bits is never claimed of the picture.
-
-It is a standard deviation by a linear model: half as far and twice as far are likely errors of it.
-It knows nothing of other answers.
-"""
+"""How sure an answer is, by renders around it: `std` that does not depend on the search's path."""
 
 from __future__ import annotations
 
@@ -30,8 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from fide_plugins.types import Estimate, Float64, Mask
-
-__all__ = ["AtAnswer", "deviations_at", "means", "pixels_together"]
 
 _ROUNDING = (1 / 255) ** 2 / 12
 _PRIOR = 1 / 12  # variance of the uniform law on [0, 1]
@@ -69,7 +45,15 @@ def deviations_at(
     weights: Sequence[Float64],
     together: Sequence[int] | None = None,
 ) -> Float64:
-    """Standard deviations (p,), in units of the unit cube.
+    """Standard deviations (p,), in units of the unit cube, by a linear model, to a factor of 2.
+
+    With J (p, M), the slopes, and r (M,), the residual, the variance is
+
+    1. of noise, and what the renderer cannot draw: A^-1 B A^-1, A = J J^T and B = J E[e e^T] J^T,
+       of an error e with the correlations of r, by its spectrum (a sandwich, White 1982);
+    2. plus the larger of (A^-1 J r)^2, which the search has left, and the square of the step with
+       free light (gain and offset of each color, planes over the picture), less that by noise;
+    3. at most that of the prior, uniform in the cube.  Rounding to 8 bits is the least error.
 
     slopes: (p, H, W, C) of each view, change of its image with a parameter over the unit cube.
     residuals: (H, W, C) of each view, target minus image.  Both are weighted.

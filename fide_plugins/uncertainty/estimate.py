@@ -1,21 +1,4 @@
-"""The standard deviations of one solution, by the samples that were known when it was read.
-
-1. *Select.*  Samples near the solution, with its own integers and choices (`samples`).
-2. *Fit.*  A linear model of their features (`local_fit`).
-3. *Covariance.*  What the model and the target say of the numbers.  What they leave open counts as
-   open only where samples speak for it: an image as good lies far away in that number, or, since a
-   search leaves a number without effect where it is, nearest neighbors in all other numbers have
-   the better image more often than nearest neighbors in all.  Otherwise the truth is taken to be at
-   most `WIDER` times as far away as samples as good.
-4. *Other values.*  Integers and choices have no standard deviation.  Samples in which just one of
-   them has another value are compared with own samples that were asked at the same time; delta, the
-   mean difference, is what the value changes in the features.  The value may be the true one unless
-   it leaves more of the target unexplained, left(): what J cannot explain:
-
-       |left(target - here - delta)|^2 - |left(target - here)|^2
-
-   So does one sample with another value, and any other parameters, whose image is as good.
-"""
+"""The standard deviations of one solution, by the samples that were known when it was read."""
 
 from __future__ import annotations
 
@@ -82,6 +65,9 @@ def explain_as_well(around: Surroundings, missed: Float64, model: FitToTarget) -
 def limits(around: Surroundings, missed: Float64, model: FitToTarget, std: Float64) -> Float64:
     """How far (p,) the truth may be in each number that is open; infinite where nothing limits it.
 
+    What the model leaves open is open only where samples speak for it: an image as good lies far
+    away in that number, or the number has no effect.  Else samples as good limit it.
+
     missed: (n,), of `misses_of`.  std: (p,), by the model alone.
     """
     noise = noise_of(model)
@@ -98,7 +84,10 @@ def limits(around: Surroundings, missed: Float64, model: FitToTarget, std: Float
 
 
 def _without_effect(around: Surroundings, one: int) -> bool:
-    """Whether the neighbors in all other numbers have the better images more often."""
+    """Whether nearest neighbors in all other numbers have the better image more often than in all.
+
+    A search leaves a number without effect where it is.
+    """
     rows = around.own[:: -(-len(around.own) // _MOST)]
     u, e = around.steps(rows), around.features[rows]
     others = np.arange(u.shape[1]) != one
@@ -184,7 +173,10 @@ def _nearest(own: Indices, rows: Indices) -> Indices:
 
 
 def looks_alike(model: FitToTarget, pairs: Pairs) -> bool:
-    """Whether the other value may be the true one."""
+    """Whether the other value may be the true one.
+
+    Unless it leaves more of the target unexplained, by the mean difference of pairs of samples.
+    """
     fit, target, f = model.fit, model.target, model.f
     missing = fit.misses(pairs.u) + fit.misses(pairs.own_u)
     near = missing <= 2 * max(_NEAR * fit.s, _SMALL * float(target @ target))

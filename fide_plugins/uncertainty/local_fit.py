@@ -1,27 +1,7 @@
 """A linear model of the features around one solution, and the covariance that follows from it.
 
-Notation: u [n, d], parameters minus those of the solution; e [n, f], features; D [n], squared
-distance of the features from those of the solution; J [d, f], e ~ a + (u - m) J.
-
-*Fit.*  J is fitted by weighted least squares.  The error of a sample is noise and curvature, which
-grows with the distance of the images, so its variance is taken for v = s + rho D, and its weight is
-1 / v; both come from the residuals, each divided by one minus its leverage.  Samples of one search
-share what a linear model misses there, so the error E of J is found by leaving out groups of
-consecutive samples of equal weight (the delete-a-group jackknife, Kott 2001).
-
-*Resolution.*  Directions are those of the generalized eigenvalue problem of J J^T and E.  Resolved
-are those where J J^T exceeds E, which is subtracted.  Unseen are those along which, even with the
-error, the image changes next to nothing from one side of the cube to the other, and the little may
-be chance: where the image does not change, J is nothing but its error, and the ratio of the two
-follows an F distribution, whose degrees of freedom are the independent features of the error,
-tr(S)^2 / tr(S^2) of their covariance S (Satterthwaite 1946).
-
-*Covariance.*  With the residual r of the target, without what J explains of it, sigma^2 = |r|^2 / f
-is the noise of the target.  What J does explain is the search's own error: a finished search leaves
-d sigma^2 of it.  The larger of sigma^2 and (explained / d) scales the inverse of J J^T.  The prior
-is uniform in the cube, variance 1 / 12.  In the directions that are not resolved, and only there,
-the truth is taken to be at most `WIDER` times as far away as samples that look alike; where the
-image is known to change next to nothing only the prior counts.
+Notation: u (n, d), parameters minus those of the solution; e (n, f), features; J (d, f), with
+e ~ a + (u - m) J; D (n,), squared distance of the features from those of the solution.
 """
 
 from __future__ import annotations
@@ -116,6 +96,9 @@ class FitToTarget(NamedTuple):
 
 def fit_locally(u: Float64, e: Float64, distances: Float64) -> LocalFit:
     """Fit features e (n, f) of samples u (n, d), in the order of asking; n > d + 1.
+
+    By least squares with weights 1 / (s + rho D), the variances of noise and curvature, which come
+    from the residuals; the error of J by the delete-a-group jackknife (Kott 2001).
 
     distances: (n,), squared, of their features from those of the solution.
     """
@@ -263,6 +246,9 @@ def unresolved(fit: LocalFit) -> Float64:
 def unseen(fit: LocalFit, from_afar: Sequence[LocalFit], most: float, rounding: float) -> Float64:
     """Orthonormal directions (d, m), m >= 0, that are unseen.
 
+    Along them the image changes next to nothing over the cube, and the little may be chance: the
+    ratio of J J^T to its error then follows an F distribution (Satterthwaite 1946).
+
     from_afar: models of samples that are less alike.
     most: change of the features, squared, over the side of the cube, that is next to nothing.
     rounding: such a change that is only one of their last digits.
@@ -339,7 +325,12 @@ _ROUNDING_OF_TARGET = 1e-14  # of the target's energy: its last digits, in singl
 
 
 def covariance(model: FitToTarget) -> Float64:
-    """(d, d), in units of the unit cube."""
+    """(d, d), in units of the unit cube.
+
+    The inverse of J J^T, scaled by the noise of the target or what the search has left, with the
+    uniform prior.  Along directions that are not resolved the truth is at most `WIDER` times as far
+    away as samples that look alike; along those that are unseen only the prior counts.
+    """
     fit, d = model.fit, len(model.fit.J)
     steps = unseen(fit, model.from_afar, NO_EFFECT * model.farthest, _rounding(model))
     rest = unresolved(fit)

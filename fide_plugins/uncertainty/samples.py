@@ -1,19 +1,5 @@
 """Which samples tell about a solution, and which of them the linear model is made of.
 
-A sample counts if its exchangeable blocks can be matched to those of the solution (`aligned`).
-Those with the solution's own integers and choices are its *own*.  The model is made of the own ones
-whose images are most like the solution's, without those of a *twin*, which has the same image far
-away (`of_twins`): in one linear model with it, its samples would say that the step between the two
-changes nothing.
-
-1. A linear model is fitted to the samples whose parameters are nearest.  Where it says that a
-   sample's image should differ from the solution's by far more than it does, the sample is a
-   suspect.  Only directions count in which J exceeds its error several times.
-2. Far along a curve of equal images the linear model is wrong as well.  Such samples are joined to
-   the solution by others on the way, so suspects that can be reached in small steps are kept.
-3. The other suspects are of twins.  So is every sample that 2 does not keep and that is nearer to
-   one of them than to the solution, by the change of the image that the model expects.
-
 Samples are known by their *rows* among the n of `Surroundings`, which are in the order of asking.
 """
 
@@ -85,7 +71,11 @@ _STEP = 0.15  # of the cube
 
 
 def of_twins(u: Float64, e: Float64, distances: Float64, periodic: Mask | None) -> Mask:
-    """(n,), samples that look like the solution and are not connected to it.
+    """(n,), samples that look like the solution and are not connected to it, see `most_alike`.
+
+    Suspects are those whose image, by a linear model of the nearest samples, should differ by far
+    more than it does.  Those that small steps reach lie on a curve of equal images, and stay; the
+    others, and what is nearer to one of them than to the solution, are of a twin.
 
     u: (n, d), steps from the solution, n > d + 1.  e: (n, f), features.
     distances: (n,), squared, of their features from those of the solution; positive.
@@ -211,7 +201,10 @@ def surroundings(
 
 
 def most_alike(around: Surroundings, missed: float) -> Indices:
-    """Rows of the samples of which the linear model is made, in the order of asking.
+    """Rows of the own samples whose images are most like the solution's, in the order of asking.
+
+    Without those of a twin, which has the same image far away: a linear model with it would say
+    that the step between the two changes nothing.
 
     missed: squared, by how much the solution misses the target.
     """

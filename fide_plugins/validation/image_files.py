@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from fide_plugins.errors import ImageError, ImageNotFoundError
+from fide_plugins.errors import FideError, ImageError, ImageNotFoundError
 from fide_plugins.runtime.files import RefusedFileError, check_regular
 from fide_plugins.runtime.machine import missing
 from fide_plugins.runtime.messages import warn_user
 from fide_plugins.types import Float32
-from fide_plugins.validation.pixels import MAX_PIXELS, Pixels, refuse_type, scale_remedy
+from fide_plugins.validation.pixels import MAX_PIXELS, Pixels, describe, typed
 
 _WIDENED = ("PNG", "PPM")  # formats of 16 bits, which Pillow may keep in 32
 _TIFF = (".tif", ".tiff")  # Pillow reads floats of gray ones only
@@ -30,9 +30,10 @@ _ORIENTATION = 0x0112  # EXIF
 
 
 def read_pixels(path: str | os.PathLike[str], max_side: int | None, *, raw: bool = False) -> Pixels:
-    """Decode an image file; the size in its header is checked before any pixel is.
+    """Decode an image file; the size in its header is checked before any pixel is decoded.
 
-    raw: numbers as they are stored; otherwise those of 16 bits are divided by 65535.
+    raw: numbers as they are stored; otherwise those of 16 bits are divided by 65535.  Raises
+    ImageError, ImageNotFoundError, DependencyError for EXR without its extra.
     """
     from PIL import Image  # takes a while
 
@@ -72,13 +73,9 @@ def _narrowed(image: Any) -> bool:
 
 def _upright(pixels: Pixels, orientation: int) -> Pixels:
     """Pixels (H, W, C) turned by the number that EXIF has for it."""
-    if orientation in (5, 6, 7, 8):
-        pixels = pixels.swapaxes(0, 1)
-    if orientation in (2, 3, 6, 7):
-        pixels = pixels[:, ::-1]
-    if orientation in (3, 4, 7, 8):
-        pixels = pixels[::-1]
-    return np.ascontiguousarray(pixels)
+    turned = pixels.swapaxes(0, 1) if orientation in (5, 6, 7, 8) else pixels
+    turned = turned[:, ::-1] if orientation in (2, 3, 6, 7) else turned
+    return np.ascontiguousarray(turned[::-1] if orientation in (3, 4, 7, 8) else turned)
 
 
 def _of_another_format(
@@ -86,18 +83,20 @@ def _of_another_format(
 ) -> Pixels:
     """Decode by OpenCV or OpenEXR what Pillow cannot; raises ImageError, DependencyError."""
     name = os.fspath(path)
-    remedy = "is it whole, and is it an image? PNG, JPEG, TIFF, PPM, HDR and EXR can be read"
-    if name.lower().endswith(_EXR):
-        colors = _decoded_exr(path)
-        return reduced(colors, _reduced_size(colors.shape[1::-1], max_side))
-    if name.lower().endswith(_OPENCV):
-        try:
+    try:
+        if name.lower().endswith(_EXR):
+            colors = _decoded_exr(path)
+            return reduced(colors, _reduced_size(colors.shape[1::-1], max_side))
+        if name.lower().endswith(_OPENCV):
             return _by_opencv(path, max_side, raw)
-        except ImageError:
-            raise
-        except Exception as e:  # of a header that is none
-            error = e
-    raise ImageError(f"cannot read {name!r} as an image: {error}; {remedy}") from error
+    except FideError:
+        raise
+    except Exception as e:  # decoders of untrusted bytes raise nearly anything
+        error = e
+    raise ImageError(
+        f"cannot read {name!r} as an image: {error}; is it whole, and is it an image? PNG, JPEG, "
+        "TIFF, PPM, HDR and EXR can be read"
+    ) from error
 
 
 def _by_opencv(path: str | os.PathLike[str], max_side: int | None, raw: bool) -> Pixels:
@@ -167,14 +166,14 @@ def from_pil(
     _check_size(width, height, what)
     form, whole = image.format, whole or image.size
     image = ImageOps.exif_transpose(image)
-    if image.size != (width, height):
-        whole = whole[::-1]
-    size = _reduced_size(whole, max_side)
-    if image.mode.startswith("I") and raw:
-        return reduced(np.asarray(image), size)
+    size = _reduced_size(whole if image.size == (width, height) else whole[::-1], max_side)
     if image.mode.startswith("I"):
-        _check_16_bits(image, form, what)
-        return _of_16_bits(image, size)
+        values = np.asarray(image)
+        if raw:
+            return reduced(values, size)
+        if not (image.mode.startswith("I;16") or form in _WIDENED):  # 32 bits: what is white?
+            typed(values, what, describe(values))
+        return _of_16_bits(values.astype(np.float32), image.info.get("transparency"), size)
     if image.has_transparency_data:
         image = image.convert("RGBA")
     elif image.mode not in ("F", "1"):
@@ -185,21 +184,9 @@ def from_pil(
     return np.asarray(image)
 
 
-def _check_16_bits(image: Any, form: str | None, what: str) -> None:
-    """Raise ImageError for whole numbers of 32 bits, whose white is unknown."""
-    if image.mode.startswith("I;16") or form in _WIDENED:
-        return
-    remedy = scale_remedy(
-        np.asarray(image), "np.asarray(image).astype(bool)", "np.asarray(image).astype(np.uint8)"
-    )
-    got = f"whole numbers of 32 bits (Pillow's mode {image.mode!r})"
-    raise refuse_type(what, got, f"{remedy}, or save the picture with 8 or 16 bits")
-
-
-def _of_16_bits(image: Any, size: tuple[int, int]) -> Pixels:
-    """Gray (H, W) in [0, 1] of 16 bits; (H, W, 4) where a PNG says which value is transparent."""
-    values = np.asarray(image, np.float32)
-    gray, clear = values / np.float32(65535), image.info.get("transparency")
+def _of_16_bits(values: Float32, clear: int | None, size: tuple[int, int]) -> Pixels:
+    """Gray (H, W) in [0, 1]; (H, W, 4) where a PNG says which value is transparent."""
+    gray = values / np.float32(65535)
     if clear is None:
         return reduced(gray, size)
     alpha = (values != clear).astype(np.float32)
@@ -247,25 +234,17 @@ def encoded(image: Float32, suffix: str) -> bytes:
 
 _COLORS = (("R", "G", "B", "A"), ("R", "G", "B"), ("Y", "A"), ("Y",))
 _FLOATS = (np.float16, np.float32)
-_OTHERS = 8  # channels besides colors that may be in a file, such as depth and normals
+_PLANES = 12  # most channels of a large image, such as colors, depth and normals
 
 
 def _decoded_exr(path: str | os.PathLike[str]) -> Float32:
-    """Pixels (H, W), (H, W, 3) or (H, W, 4) of the channels Y, RGB or RGBA in the data window.
-
-    The header is looked at before any pixel is read.  Raises ImageError, DependencyError.
-    """
+    """Pixels (H, W), (H, W, 3) or (H, W, 4) of the channels Y, RGB or RGBA in the data window."""
     exr, what = _package(), repr(os.fspath(path))
-    try:
-        with open(path, "rb") as file:
-            names = _checked(exr, exr.File(file, header_only=True, num_threads=0), what)
-            file.seek(0)
-            read = exr.File(file, separate_channels=True, num_threads=0).channels()
-            planes = [read[name].pixels for name in names]
-    except ImageError:
-        raise
-    except Exception as error:  # decoders of untrusted bytes raise nearly anything
-        raise ImageError(f"cannot read {what} as an image: {error}; is it whole?") from error
+    with open(path, "rb") as file:
+        names = _checked(exr.File(file, header_only=True, num_threads=0), what)
+        file.seek(0)
+        read = exr.File(file, separate_channels=True, num_threads=0).channels()
+        planes = [read[name].pixels for name in names]
     if any(plane.dtype not in _FLOATS or plane.shape != planes[0].shape for plane in planes):
         raise ImageError(f"{what} has colors that are not halves or floats of one size")
     pixels = np.stack(planes, axis=-1).astype(np.float32)
@@ -298,32 +277,25 @@ def _package() -> Any:
     return OpenEXR
 
 
-def _checked(exr: Any, file: Any, what: str) -> tuple[str, ...]:
+def _checked(file: Any, what: str) -> tuple[str, ...]:
     """Names of the channels to take, by the header of a file; raises ImageError."""
-    sizes = []
+    values = 0
     for part in file.parts:
-        header = part.header
-        low, high = header["dataWindow"]
+        low, high = part.header["dataWindow"]
         width, height = (int(b) - int(a) + 1 for a, b in zip(low, high, strict=True))
-        if header.get("type", exr.scanlineimage) not in (exr.scanlineimage, exr.tiledimage):
-            raise ImageError(f"{what} has deep pixels; flatten it first")
-        if min(width, height) < 1 or width * height > MAX_PIXELS:
-            raise ImageError(
-                f"{what} has {width} x {height} pixels, not 1 to {MAX_PIXELS:,}; reduce it"
-            )
-        sizes.append(width * height * len(header["channels"]))
-    channels = {one.name: one for one in file.parts[0].header["channels"]}
-    names = next((names for names in _COLORS if channels.keys() >= set(names)), None)
+        values += width * height * len(part.header["channels"])
+        _check_size(width, height, what)
+        if min(width, height) < 1 or values > _PLANES * MAX_PIXELS:
+            got = f"{width} x {height} pixels, and {values:,} values in all channels"
+            raise ImageError(f"{what} has {got}; reduce it, or save its colors alone")
+    channels = {one.name for one in file.parts[0].header["channels"]}
+    names = next((names for names in _COLORS if channels >= set(names)), None)
     if names is None:
         found = ", ".join(sorted(channels)[:8]) or "none"
         raise ImageError(
             f"{what} has no channels R, G, B or Y in its first part, but {found}: give the array, "
             "such as OpenEXR.File(path).channels()[NAME].pixels"
         )
-    if sum(sizes) > MAX_PIXELS * (4 + _OTHERS):
-        raise ImageError(f"{what} has too many channels for its size; save its colors alone")
-    if any(channels[name].xSampling != 1 or channels[name].ySampling != 1 for name in names):
-        raise ImageError(f"{what} has colors of a lower resolution; save it as RGB")
     return names
 
 
@@ -342,10 +314,8 @@ def _reduced_size(size: tuple[int, ...], max_side: int | None) -> tuple[int, int
 def reduced(pixels: Pixels, size: tuple[int, int], weights: Pixels | None = None) -> Pixels:
     """Pixels (H, W) or (H, W, C) in the size (width, height); themselves if they have it.
 
-    They come back as float32, whole numbers too, in their own range.  Colors of four channels are
-    weighted by the last one, the alpha channel.  What has no weight at all becomes 0.
-
-    weights: (H, W), of pixels; those of 0 have no influence, whatever they hold.
+    They come back as float32 in their own range.  Colors of four channels are weighted by the last
+    one, the alpha channel.  weights: (H, W); what has no weight at all becomes 0.
     """
     if pixels.shape[1::-1] == size:
         return pixels
@@ -381,20 +351,17 @@ def _mean(values: Float32, size: tuple[int, int], weights: Pixels | None) -> Flo
     """Weighted means of values (H, W) or (H, W, C); without weights plain ones."""
     if weights is None:
         return _by_channel(values, size)
-    weights = weights.astype(np.float32)
-    counted = weights if values.ndim == 2 else weights[..., None]
-    sums = _by_channel(np.where(counted > 0, values, 0) * counted, size)
+    weights = weights.astype(np.float32).reshape(*values.shape[:2], *[1] * (values.ndim - 2))
+    sums = _by_channel(np.where(weights > 0, values, 0) * weights, size)
     total = _by_channel(weights, size)
-    total = total if values.ndim == 2 else total[..., None]
     return np.divide(sums, total, out=np.zeros_like(sums), where=total > 0)
 
 
 def _by_channel(values: Float32, size: tuple[int, int]) -> Float32:
     from PIL import Image
 
-    planes = [values] if values.ndim == 2 else list(np.moveaxis(values, -1, 0))
     small = [
         np.asarray(Image.fromarray(np.ascontiguousarray(plane)).resize(size, Image.Resampling.BOX))
-        for plane in planes
+        for plane in np.moveaxis(np.atleast_3d(values), -1, 0)
     ]
-    return small[0] if values.ndim == 2 else np.stack(small, axis=-1)
+    return np.stack(small, axis=-1).reshape(*small[0].shape, *values.shape[2:])

@@ -1,34 +1,20 @@
 """Converts and validates targets and renders.
 
 Inside the library all images are *canonical*: C-contiguous float32 NumPy arrays with values in
-[0, 1], `(H, W, 3)` for a target and `(n, H, W, 3)` for a batch.  :func:`as_target` and
-:func:`as_batch` convert all other images by these rules.
+[0, 1], `(H, W, 3)` for a target and `(n, H, W, 3)` for a batch.  The rules for all others:
 
-=================  ============================================================================
-values             uint8 [0, 255] and bool are scaled to [0, 1]; floats of any precision keep
-                   their values; other types are refused, since their scale is unknown: white may
-                   be 4095 in a uint16 array
-channels           none or 1: gray, repeated; 3: RGB; 4: RGBA, composited over white (a mask over
-                   black: what is transparent is hidden)
-axes               channels last.  In a torch tensor channels may come first: if the first axis
-                   has 1, 3 or 4 entries and the other two fit the required size (that of the
-                   target), if there is one
-NaN, infinity      refused
-outside [0, 1]     refused in a target; clipped in a batch, with a warning (a renderer may
-                   overshoot).  An overshoot of up to 1e-6, which is rounding, is clipped silently.
-                   Renders on another scale than the target are refused, see `pixels`
-value range        with one, [low, high] takes the place of [0, 1], and all types are numbers as
-                   they are: uint8 from 0 to 255, uint16 from 0 to 65535, whole numbers of any kind.
-                   Alpha is a share still: of whole numbers, of their type's largest one
-hidden pixels      where a mask has zeros: NaN becomes 0, other values are clipped, and nothing is
-                   refused for them
-files, PIL images  turned upright (EXIF), palettes expanded, 16 bits divided by 65535, grays of 32
-                   bits refused; of several frames the first, with a warning; at most
-                   `MAX_PIXELS` pixels.  TIFF of floats and HDR keep their values.  With a value
-                   range all numbers are as they are stored
-=================  ============================================================================
-
-PyTorch and Pillow are imported only if an image needs them.
+- values: uint8 [0, 255] and bool are scaled to [0, 1]; floats keep their values; other types are
+  refused, since their scale is unknown.  With a value range, [low, high] takes the place of [0, 1],
+  and all types are numbers as they are; alpha is a share still;
+- channels: none or 1, gray, repeated; 3, RGB; 4, RGBA, composited over white (a mask over black);
+- axes: channels last.  In a torch tensor channels may come first: if the first axis has 1, 3 or 4
+  entries and the other two fit the required size, if there is one;
+- outside [0, 1]: refused in a target; clipped in a batch, with a warning, unless it is rounding (up
+  to 1e-6).  Renders on another scale than the target are refused, see `pixels`;
+- NaN and infinity are refused;
+- hidden pixels, where a mask has zeros: NaN becomes 0, other values are clipped;
+- files, PIL images: turned upright (EXIF), palettes expanded, 16 bits divided by 65535, grays of 32
+  bits refused; of several frames the first, with a warning; at most `MAX_PIXELS` pixels.
 """
 
 from __future__ import annotations
@@ -56,14 +42,12 @@ from fide_plugins.validation.pixels import (
     describe,
     extremes,
     from_tensor,
-    has_scale,
     is_path,
     is_pil,
     is_torch_tensor,
     is_unit,
-    refuse_type,
-    scale_remedy,
     shares,
+    typed,
     unit_range,
     unmasked,
     warn_clipped,
@@ -94,31 +78,17 @@ def as_target(
     behind: float = 1.0,
     values: ValueRange | None = None,
 ) -> Float32:
-    """Canonical copy of one image.
+    """Canonical copy of one image: float32 (H, W, 3) in [0, 1], C-contiguous.
 
-    Parameters
-    ----------
-    target
-        array, torch tensor, PIL image or path of an image file; see the module's rules.
-    what
-        its name in errors.
-    size
-        required size (H, W); None: any.
-    hidden
-        (H, W), pixels that do not count; None: all do.
-    behind
-        gray value in [0, 1] behind transparent pixels, 1 is white.
-    values
-        those that become 0 and 1; None: 0 and 1.
+    target: array, torch tensor, PIL image or path of an image file; see the module's rules.
+    what: its name in errors.
+    size: required size (H, W); None: any.
+    hidden: (H, W), pixels that do not count; None: all do.
+    behind: gray value in [0, 1] behind transparent pixels, 1 is white.
+    values: those that become 0 and 1; None: 0 and 1.
 
-    Returns
-    -------
-    float32 (H, W, 3) in [0, 1], C-contiguous, sharing no memory with `target`.
-
-    Raises
-    ------
-    ImageError
-        wrong shape, type or values (also a ValueError); `ImageNotFoundError` for a missing file.
+    Raises ImageError (a ValueError) for wrong shape, type or values; `ImageNotFoundError` for a
+    missing file.
     """
     pixels = _pixels(target, size, what, "resize it to that", raw=values is not None)
     return _canonical(pixels, what, None, hidden, behind, values)
@@ -128,28 +98,20 @@ def as_pixels(image: object, what: str, raw: bool = False) -> Pixels:
     """Array (H, W) or (H, W, C) of one image, with the values that it has; perhaps the image.
 
     what: its name in errors.  raw: whether any numbers will do, those of a file as it has them.
-
     Raises ImageError for types and axes that no image has, `ImageNotFoundError`.
     """
     array, is_tensor = _to_array(image, what, raw)
     check_axes(array, what)
-    if array.ndim == 2:
-        return array
-    pixels: Pixels = channels_last(array, 0, is_tensor, None, what)
-    return pixels
+    return array if array.ndim == 2 else channels_last(array, 0, is_tensor, None, what)
 
 
 def alpha_of(image: object, what: str = "the target") -> Float32:
     """Alpha channel (H, W) float32 in [0, 1] of `image`, any input of `as_target`.
 
-    what: how an error calls it.
-
-    Raises ImageError if it has none.
+    what: its name in errors.  Raises ImageError if it has none.
     """
-    array, is_tensor = _to_array(image, what)
-    if array.ndim == 3:
-        array = channels_last(array, 0, is_tensor, None, what)
-    if array.ndim != 3 or array.shape[-1] != 4:
+    array = _pixels(image, None, what)
+    if array.shape[-1] != 4:
         raise ImageError(f"{what} must have an alpha channel, (H, W, 4), got {describe(array)}")
     alpha: Float32 = np.array(unit_range(shares(array[..., 3]), what, None), np.float32, order="C")
     return alpha
@@ -173,36 +135,20 @@ def as_batch(
     hidden: Mask | None = None,
     values: ValueRange | None = None,
 ) -> Float32:
-    """Canonical batch of images.
+    """Canonical batch of images: float32 (n, H, W, 3) in [0, 1], C-contiguous.
 
     A canonical batch is checked and returned without a copy: do not modify the result, and keep
     no reference to it.
 
-    Parameters
-    ----------
-    images
-        (n, H, W) or (n, H, W, C) array or torch tensor, a torch tensor (n, C, H, W), or a list or
-        tuple of images that `as_target` accepts.
-    shape
-        required size (H, W), or shape (H, W, 3) of the target; None: that of the first image.
-    n
-        required number of images; None: any number, also zero.
-    on_clip
-        called once, with a `pixels.Clip`, if finite values outside [0, 1] were clipped.
-    hidden
-        (H, W) of that shape, pixels that do not count; None: all do.
-    values
-        those that become 0 and 1; None: 0 and 1.
+    images: (n, H, W) or (n, H, W, C) array or torch tensor, a torch tensor (n, C, H, W), or a list
+        or tuple of images that `as_target` accepts.
+    shape: required size (H, W), or shape (H, W, 3) of the target; None: that of the first image.
+    n: required number of images; None: any number, also zero.
+    on_clip: called once, with a `pixels.Clip`, if finite values outside [0, 1] were clipped.
+    hidden, values: as of `as_target`.
 
-    Returns
-    -------
-    float32 (n, H, W, 3) in [0, 1], C-contiguous.
-
-    Raises
-    ------
-    ImageError
-        wrong number, shape, type or values (also a ValueError); a `ValueRangeError` if they are on
-        another scale.
+    Raises ImageError (a ValueError) for wrong number, shape, type or values; a `ValueRangeError` if
+    they are on another scale.
     """
     size = None if shape is None else (int(shape[0]), int(shape[1]))
     if isinstance(images, (list, tuple)):
@@ -227,11 +173,12 @@ def load(
 ) -> Float32:
     """Canonical image (H, W, 3) float32 in [0, 1], read from the file `path`.
 
-    max_side: the image is reduced by box averaging to at most so many pixels; None: not at all.
+    max_side: a longer image is reduced by box averaging to at most so many pixels; None: not at
+        all.
     mask: which pixels count in these averages: (H, W) in [0, 1] or any gray picture of the whole
         image's size.  What none of them shows becomes 0; transparent pixels never count.
 
-    An image whose longer side fits is not resized.  Raises `ImageNotFoundError` or `ImageError`,
+    Raises `ImageNotFoundError` or `ImageError`,
     OptionError for a `max_side` that is no whole number >= 1.
     """
     from fide_plugins.validation.image_files import read_pixels, shrunk
@@ -304,27 +251,19 @@ def _list_as_batch(
 
 def _check_one(image: object, what: str) -> None:
     """Raise ImageError for a list of images; one image may be a list of its rows, (W, C) each."""
-    listed = isinstance(image, list | tuple)
-    if not listed or not any(is_image(one) and not _is_row(one) for one in image):  # type: ignore[attr-defined]
+    if not isinstance(image, list | tuple):
         return
-    number = len(image)  # type: ignore[arg-type]
+    shapes: list[tuple[int, ...]] = [getattr(one, "shape", ()) for one in image if is_image(one)]
+    if all(len(shape) == 2 and shape[1] in CHANNELS for shape in shapes):  # rows
+        return
     remedy = "give one of them, or for several views a target for each"
-    if number == 1:
+    if len(image) == 1:
         remedy = "take it out of its list, image[0]"
-    raise ImageError(f"{what} must be one image, not a list of {number}; {remedy}")
-
-
-def _is_row(image: object) -> bool:
-    """Whether what is an image by itself may be a row (W, C) of another one."""
-    shape: tuple[int, ...] = getattr(image, "shape", ())
-    return len(shape) == 2 and shape[1] in CHANNELS
+    raise ImageError(f"{what} must be one image, not a list of {len(image)}; {remedy}")
 
 
 def _to_array(image: object, what: str, raw: bool = False) -> tuple[Pixels, bool]:
-    """Return the image as a numpy array, and whether it was a torch tensor.
-
-    raw: whether any numbers will do, those of a file as it has them.
-    """
+    """Return the image as a numpy array, and whether it was a torch tensor."""
     if is_path(image) or is_pil(image):
         from fide_plugins.validation.image_files import from_pil, read_pixels  # rarely needed
 
@@ -342,14 +281,8 @@ def _to_array(image: object, what: str, raw: bool = False) -> tuple[Pixels, bool
         array = np.asarray(image)
     except (TypeError, ValueError, RuntimeError) as e:
         raise ImageError(f"{what} is not an image: {e}") from e
-    if not array.ndim and not has_scale(array, raw):
-        remedy = "give an array, a path, a PIL image or a torch tensor"
-        raise refuse_type(what, type(image).__name__, remedy)
-    if not has_scale(array, raw):
-        name = "image" if isinstance(image, np.ndarray) else "np.asarray(image)"
-        remedy = scale_remedy(array, f"{name}.astype(bool)", f"{name}.astype(np.uint8)")
-        raise refuse_type(what, describe(array), remedy, whole=array.dtype.kind in "iu")
-    return array, False
+    got = describe(array) if array.ndim else type(image).__name__
+    return typed(array, what, got, raw), False
 
 
 def _canonical(

@@ -1,7 +1,6 @@
 """Rules for the values of options: each takes an option's name and value, and returns the value.
 
-`check_names` is about names only.  All raise OptionError (a ValueError) that names the option, its
-value and the rule.
+All raise OptionError (a ValueError) that names the option, its value and the rule.
 """
 
 from __future__ import annotations
@@ -89,49 +88,31 @@ def switch(name: str, value: Any) -> bool:
     return value
 
 
-def positive(name: str, value: Any) -> float:
-    """A positive, finite number."""
-    number = _number(name, value)
-    if not number > 0:
-        raise OptionError(f"{name} must be a positive number, not {value!r}")
-    return number
+def _real(rule: str, sound: Callable[[float], bool]) -> Callable[[str, Any], float]:
+    """A finite number for which `sound` holds; rule: what it must, in words."""
+
+    def check(name: str, value: Any) -> float:
+        try:
+            number = math.nan if isinstance(value, bool | str) else float(value)
+        except (TypeError, ValueError, OverflowError):
+            number = math.nan
+        if not (math.isfinite(number) and sound(number)):
+            raise OptionError(f"{name} must {rule}, not {value!r}")
+        return number
+
+    return check
 
 
-def positive_fraction(name: str, value: Any) -> float:
-    """A number in (0, 1]."""
-    number = positive(name, value)
-    if number > 1:
-        raise OptionError(f"{name} must lie in (0, 1], not {value!r}")
-    return number
+positive = _real("be a positive number", lambda number: number > 0)
+positive_fraction = _real("lie in (0, 1]", lambda number: 0 < number <= 1)
+not_negative = _real("be a finite number, not negative", lambda number: number >= 0)
+fraction = _real("lie in [0, 1]", lambda number: 0 <= number <= 1)
 
 
 def fraction_or(word: str) -> Rule:
     """A number in (0, 1], or the word."""
-
-    def rule(name: str, value: Any) -> float | str:
-        if isinstance(value, str):
-            if value == word:
-                return value
-            raise OptionError(f"{name} must be a number in (0, 1] or {word!r}, not {value!r}")
-        return positive_fraction(name, value)
-
-    return rule
-
-
-def not_negative(name: str, value: Any) -> float:
-    """A finite number, at least 0."""
-    number = _number(name, value)
-    if number < 0:
-        raise OptionError(f"{name} must not be negative, got {value!r}")
-    return number
-
-
-def fraction(name: str, value: Any) -> float:
-    """A number in [0, 1]."""
-    number = _number(name, value)
-    if not 0 <= number <= 1:
-        raise OptionError(f"{name} must lie in [0, 1], not {value!r}")
-    return number
+    number = _real(f"be a number in (0, 1] or {word!r}", lambda number: 0 < number <= 1)
+    return lambda name, value: value if value == word else number(name, value)
 
 
 def schedule(name: str, value: Any) -> tuple[float, ...]:
@@ -147,23 +128,12 @@ def check_schedule(schedule: Iterable[float]) -> tuple[float, ...]:
         times = tuple(float(t) for t in schedule)
     except (TypeError, ValueError, OverflowError):
         times = ()
-    positive = bool(times) and all(0 < t < float("inf") for t in times)
-    if not positive or any(later >= t for t, later in pairwise(times)):
+    if not times or not all(b < a < math.inf for a, b in pairwise((*times, 0.0))):
         raise OptionError(
             "a schedule is a decreasing sequence of positive times, such as (0.3, 0.2, 0.1); "
             f"got {schedule!r}"
         )
     return times
-
-
-def _number(name: str, value: Any) -> float:
-    try:
-        number = float(value)
-    except (TypeError, ValueError, OverflowError):
-        number = float("nan")
-    if isinstance(value, bool | str) or not abs(number) < float("inf"):
-        raise OptionError(f"{name} must be a finite number, not {value!r}")
-    return number
 
 
 # -- options on the command line: key=value --------------------------------------------------------
@@ -187,23 +157,17 @@ def parse_key_value(text: str) -> tuple[str, Any]:
     if value.lower() in words:
         return key, words[value.lower()]
     if value.startswith(("[", "{")):
-        return key, _from_json(text, value)
-    for kind in (int, float):
         try:
+            return key, json.loads(value)
+        except ValueError as error:
+            raise OptionError(
+                f"{text!r}: a value in brackets is a list such as [[0,1],[2,3]], one in braces a "
+                f'dictionary such as {{"azimuth": 30}} ({error})'
+            ) from error
+    for kind in (int, float):
+        with suppress(ValueError):
             return key, kind(value)
-        except ValueError:
-            continue
     return key, value
-
-
-def _from_json(text: str, value: str) -> Any:
-    try:
-        return json.loads(value)
-    except ValueError as error:
-        rule = "a value in brackets is a list such as [[0,1],[2,3]]"
-        if value.startswith("{"):
-            rule = 'a value in braces is a dictionary such as {"azimuth": 30}, names in quotes'
-        raise OptionError(f"{text!r}: {rule} ({error})") from error
 
 
 _UNITS = {"d": 86400.0, "h": 3600.0, "m": 60.0, "s": 1.0}

@@ -1,8 +1,4 @@
-"""Rules of types, axes and values, for images that are an array or a torch tensor.
-
-`pixels` of the type Any below are an array or a tensor: only their shape, their dtype and views of
-them are used.  PyTorch and Pillow are imported only if an image needs them.
-"""
+"""Rules of types, axes and values, for images that are an array or a torch tensor."""
 
 from __future__ import annotations
 
@@ -56,10 +52,7 @@ def is_torch_tensor(image: object) -> bool:
 
 
 def from_tensor(tensor: Any, what: str, raw: bool = False) -> Pixels:
-    """Array of a tensor on any device; ImageError for types that no image has.
-
-    raw: whether any numbers will do.
-    """
+    """Array of a tensor on any device; ImageError for types that no image has, see `typed`."""
     try:
         tensor = tensor.detach().cpu()
         if tensor.dtype.is_floating_point and tensor.dtype.itemsize <= 2:
@@ -67,55 +60,33 @@ def from_tensor(tensor: Any, what: str, raw: bool = False) -> Pixels:
         array: Pixels = tensor.numpy()
     except (TypeError, RuntimeError, ValueError) as e:
         raise ImageError(f"{what}, a {tensor.dtype} tensor, is not an image: {e}") from e
-    if not has_scale(array, raw):
-        remedy = scale_remedy(array, "image.bool()", "image.to(torch.uint8)")
-        whole = array.dtype.kind in "iu"
-        raise refuse_type(what, f"a tensor of {describe(array)}", remedy, whole=whole)
-    return array
+    return typed(array, what, f"a tensor of {describe(array)}", raw)
 
 
 def unmasked(image: Any, what: str) -> Pixels:
     """Values of a masked array; ImageError if some are masked, which would be lost."""
-    hidden = int(np.count_nonzero(np.ma.getmaskarray(image)))
-    if hidden:
-        remedy = "give image.filled(value)"
-        if what.split()[0] not in ("mask", "weights"):
-            remedy += ", and say by mask= or weights= which pixels count"
+    if hidden := int(np.count_nonzero(np.ma.getmaskarray(image))):
         raise ImageError(
             f"{what} is a masked array with {hidden:,} masked values, and its mask would be lost; "
-            f"{remedy}"
+            "give image.filled(value), and say by mask= or weights= which pixels count"
         )
     values: Pixels = image.data
     return values
 
 
-def has_scale(array: Pixels, raw: bool = False) -> bool:
-    """Whether the type of an array says which value is white; raw: whether it holds numbers."""
-    return array.dtype.kind in ("fbiu" if raw else "fb") or array.dtype == np.uint8
+def typed(array: Pixels, what: str, got: str, raw: bool = False) -> Pixels:
+    """The array; ImageError unless its type says which value is white; raw: unless it has numbers.
 
-
-def scale_remedy(array: Pixels, as_bool: str, as_bytes: str) -> str:
-    """What to write for an array whose type does not say it; as_bool, as_bytes: conversions."""
-    if array.dtype.kind not in "iu" or not array.size or array.min() < 0:
-        return "convert it to floats in [0, 1]"
-    high = int(array.max())
-    if array.dtype == np.uint16 or high > 255:
-        return (
-            "divide by the value that is white, for example image / 65535, or give value_range, "
-            "for example (0, 65535)"
-        )
-    if high <= 1:
-        return f"write {as_bool} if 1 is white, {as_bytes} if 255 is"
-    return f"write {as_bytes} if 255 is white"
-
-
-def refuse_type(what: str, got: str, remedy: str, *, whole: bool = False) -> ImageError:
-    """Error for values of a type that no image has.
-
-    whole: whether they are whole numbers, whose scale is unknown: all renders of a run have it.
+    For whole numbers, whose scale is unknown, a ValueRangeError: all renders of a run have it.
     """
-    return (ValueRangeError if whole else ImageError)(
-        f"{what} must be uint8 in [0, 255], bool, or floating in [0, 1], got {got}; {remedy}"
+    if array.dtype == np.uint8 or array.dtype.kind in ("fbiu" if raw else "fb"):
+        return array
+    rule = f"{what} must be uint8 in [0, 255], bool, or floating in [0, 1], got {got}"
+    if array.dtype.kind not in "iu" or not array.ndim:
+        raise ImageError(f"{rule}; give an array of numbers, a path, a PIL image or a torch tensor")
+    raise ValueRangeError(
+        f"{rule}; divide by the value that is white, for example image / 65535, or give "
+        "value_range, for example (0, 65535)"
     )
 
 
@@ -140,11 +111,6 @@ class ValueRange:
     def scaled(self, values: Pixels) -> Pixels:
         """Values as floats of which [0, 1] is the range; a copy, float32 of float32."""
         with np.errstate(over="ignore", invalid="ignore", under="ignore"):
-            if values.dtype == np.float32 and values.ndim == 4:  # image by image: less memory
-                scaled = np.empty(values.shape, np.float32)
-                for one, out in zip(values, scaled, strict=True):
-                    out[...] = (one.astype(np.float64) - self.low) / self.span
-                return scaled
             result: Pixels = (values.astype(np.float64) - self.low) / self.span
             return result.astype(np.float32) if values.dtype == np.float32 else result
 
@@ -158,42 +124,31 @@ class ValueRange:
 
 def restored(image: Any, values: ValueRange | None) -> Any:
     """An image in [0, 1], or a list of them, in the user's values; None stays None."""
-    if values is None or image is None:
-        return image
     if isinstance(image, list):
-        return [values.restored(one) for one in image]
-    return values.restored(image)
+        return [restored(one, values) for one in image]
+    return image if values is None or image is None else values.restored(image)
 
 
 def value_range_of(given: Any) -> ValueRange | str | None:
-    """`value_range` as a user gives it: None, "auto", or two numbers.
+    """`value_range` as a user gives it: None, "auto", or two numbers, the lower one first.
 
-    Raises OptionError (a ValueError) for anything else, and where the first is not the lower one.
+    Raises OptionError (a ValueError) for anything else.
     """
-    if given is None or isinstance(given, ValueRange):
+    if given is None or isinstance(given, ValueRange) or (isinstance(given, str) and given == AUTO):
         return given
-    if isinstance(given, str) and given == AUTO:
-        return AUTO
     try:
-        low, high = (_number(value) for value in given)
+        if any(isinstance(value, str | bytes | bool | np.bool_) for value in given):
+            raise TypeError("no number")
+        made = ValueRange(*map(float, given))
     except (TypeError, ValueError):
+        made = ValueRange(0, 0)
+    smallest = 1e-12 * max(abs(made.low), abs(made.high), 1e-280)
+    if not (np.isfinite([made.low, made.high, made.span]).all() and made.span > smallest):
         raise OptionError(
-            "value_range must be two numbers, the values that are black and white, such as "
-            f'(0, 10), or "auto", not {given!r}'
-        ) from None
-    made = ValueRange(low, high)
-    smallest = 1e-12 * max(abs(low), abs(high), 1e-280)
-    if not (np.isfinite([low, high, made.span]).all() and made.span > smallest):
-        raise OptionError(
-            f"value_range must be two finite numbers, the lower one first, not {given!r}"
+            "value_range must be two finite numbers, the values that are black and white, the "
+            f'lower one first, such as (0, 10), or "auto", not {given!r}'
         )
     return made
-
-
-def _number(value: Any) -> float:
-    if isinstance(value, str | bytes | bool | np.bool_):
-        raise TypeError("no number")
-    return float(value)
 
 
 def range_of(pictures: Iterable[tuple[Pixels, Mask | None]]) -> ValueRange:
@@ -226,11 +181,10 @@ def range_of(pictures: Iterable[tuple[Pixels, Mask | None]]) -> ValueRange:
 
 # -- renders beyond [0, 1]: an overshoot, which is clipped, or another scale, which ends the run ---
 #
-# One image does not tell the two apart: a highlight is brighter than white, and a dark picture in
-# [0, 255] may be darker than 1.  So a run counts, over all of its renders that go beyond 1, the
-# values that are not black (above 0.05), those of them above 1, and the mean of the latter.
-# Renders are on another scale than the target where most of what is not black is above 1, and above
-# 8 on average; or where an image holds whole numbers only, up to more than 2 and at most 255.
+# One image does not tell the two apart.  So a run counts, over all of its renders that go beyond 1,
+# the values that are not black, those of them above 1, and the mean of the latter.  Renders are on
+# another scale than the target where most of what is not black is above 1, and above 8 on average;
+# or where an image holds whole numbers only, up to more than 2 and at most 255.
 
 _LIT = 0.05  # values from here on are not black
 _MOST = 0.5  # of these, that may be above 1 where they are large
@@ -241,10 +195,8 @@ _LARGEST_MEAN = 8.0  # of the values above 1
 class Clip:
     """Values outside of the range in the images of one call; `str` of it is what a user is told.
 
-    images: how many have such values.
-    low, high: extremes of all of them, in the user's values.
-    lit, above: values above 0.05 and above 1 in these images, counted after scaling; total: sum of
-        the latter.
+    images: how many have such values.  low, high: extremes, in the user's values.  lit, above:
+    scaled values above 0.05 and above 1 in these images; total: sum of the latter.
     """
 
     message: str
@@ -260,17 +212,13 @@ class Clip:
 
     def joined(self, others: list[Clip]) -> Clip:
         """One for this and further images; the message is that of the first."""
-        if not others:
-            return self
         every = [self, *others]
+        counts = ("images", "lit", "above", "total")
         return Clip(
-            f"{self.message} (and {len(others)} more images)",
+            self.message + (f" (and {len(others)} more images)" if others else ""),
             low=min(one.low for one in every),
             high=max(one.high for one in every),
-            **{
-                n: sum(getattr(one, n) for one in every)
-                for n in ("images", "lit", "above", "total")
-            },
+            **{name: sum(getattr(one, name) for one in every) for name in counts},
         )
 
     def of_view(self, view: int) -> Clip:
@@ -284,11 +232,7 @@ OnClip: TypeAlias = Callable[[Clip], object]
 
 @dataclass(slots=True)
 class Clipping:
-    """What a run has clipped so far; called with each `Clip`.
-
-    images: clipped ones.  low, high: extremes of their values, 0 and 1 before the first one.
-    lit, above, total: as of `Clip`, of all of them.
-    """
+    """What a run has clipped so far, as `Clip` has it for a call; called with each `Clip`."""
 
     images: int = saved(whole(), default=0)
     low: float = saved(real(), default=0.0)
@@ -354,32 +298,29 @@ Size: TypeAlias = tuple[int, int]  # (H, W)
 CHANNELS = (1, 3, 4)  # gray, RGB, RGBA
 
 
+def _views(pixels: Any) -> str:
+    """What to write for several pictures in one array, by its first or last axis."""
+    first, *_, last = pixels.shape
+    each = f"[image[..., i] for i in range({last})]"
+    pictures = "list(image)" if pixels.ndim != 3 or first < last else each
+    return f"of several pictures make views: {pictures}, a list, and let render return such a list"
+
+
 def check_axes(pixels: Any, what: str) -> None:
     """Raise ImageError unless the axes are those of one image."""
     if pixels.ndim not in (2, 3):
-        remedy = ""
-        if pixels.ndim == 4:
-            remedy = f"; {_views('list(image)')}"
-            if len(pixels) == 1:
-                remedy = "; take it out of its batch of one, image[0]"
+        remedy = f"; {_views(pixels)}" if pixels.ndim == 4 else ""
+        if pixels.ndim == 4 and len(pixels) == 1:
+            remedy = "; take it out of its batch of one, image[0]"
         raise ImageError(
             f"{what} must have axes (H, W) or (H, W, C), got {describe(pixels)}{remedy}"
         )
 
 
-def _views(pictures: str) -> str:
-    """What to write for several pictures in one array."""
-    return f"of several pictures make views: {pictures}, a list, and let render return such a list"
-
-
 def check_batch_axes(pixels: Any, size: Size | None, what: str) -> None:
     """Raise ImageError unless the axes are those of a batch."""
-    single = pixels.ndim == 2 or (
-        # (H, W, C) could pass for n gray images where no size tells them apart
-        pixels.ndim == 3
-        and pixels.shape[2] in CHANNELS
-        and (size is None or tuple(pixels.shape[1:]) != size)
-    )
+    has_channels = pixels.ndim == 3 and pixels.shape[2] in CHANNELS  # as n gray images could
+    single = pixels.ndim == 2 or (has_channels and tuple(pixels.shape[1:]) != size)
     if single or pixels.ndim not in (3, 4):
         raise ImageError(
             f"{what} must have axes (n, H, W, C), or (n, H, W) for gray, got {describe(pixels)}"
@@ -413,14 +354,10 @@ def channels_last(
         if may_be_first and first in CHANNELS and size in (None, tuple(rest)):
             pixels = pixels.swapaxes(batch, batch + 1).swapaxes(batch + 1, batch + 2)
         elif pixels.shape[-1] not in CHANNELS:
-            count = pixels.shape[-1]
-            each = f"[image[..., i] for i in range({count})]"
-            hint = _views("list(image)" if first < count else each)
-            if first in CHANNELS:
-                hint = "np.moveaxis(image, -3, -1) puts the channels last"
+            move = "np.moveaxis(image, -3, -1) puts the channels last"
             raise ImageError(
                 f"{what} must have 1, 3 or 4 channels in its last axis, got {describe(pixels)}; "
-                f"{hint}"
+                f"{move if first in CHANNELS else _views(pixels[0] if batch else pixels)}"
             )
     height, width = pixels.shape[batch : batch + 2]
     if height == 0 or width == 0:
@@ -437,52 +374,6 @@ def channels_last(
 
 _ROUNDING = 1e-6
 _LARGEST = 1e30  # of values that are added; there is no end to those of fireflies
-_NO_FIT = "the image of"  # begins the name of a render that is no part of a fit
-
-
-def refuse_not_finite(what: str, bad: int, pixels: Any) -> ImageError:
-    """Error for so many values that are NaN or infinite."""
-    return ImageError(
-        f"{what} must be finite, got {bad} NaN or infinite values in {describe(pixels)}; "
-        "mend them in the renderer, or replace them with np.nan_to_num"
-    )
-
-
-def is_clipped(
-    seen: Any,
-    pixels: Any,
-    low: float,
-    high: float,
-    what: str,
-    on_clip: OnClip | None,
-    values: ValueRange | None = None,
-) -> bool:
-    """Whether floats with these extremes are to be clipped to [0, 1]; `on_clip` None: never.
-
-    seen: those of `pixels` that count; low, high: their extremes.
-    values: range from which they were scaled, for messages; None: they are as they were given.
-
-    Raises ImageError for those that are refused, ValueRangeError for renders that are plainly on
-    another scale; tells `on_clip` of more than rounding.
-    """
-    if low >= 0.0 and high <= 1.0:
-        return False
-    if low >= -_ROUNDING and high <= 1.0 + _ROUNDING:
-        return True
-    ends = (low, high)
-    if values is not None:
-        ends = values.low + low * values.span, values.low + high * values.span
-    of_bytes = values is None and _are_bytes(seen, low, high)
-    got = f"values in [{ends[0]:.6g}, {ends[1]:.6g}], {describe(pixels)}"
-    rule, remedy = values or "[0, 1]", _remedy(what, ends, of_bytes, values)
-    if on_clip is None or of_bytes:
-        refused = ImageError if on_clip is None else ValueRangeError
-        raise refused(f"{what} must have values in {rule}, got {got}; {remedy}")
-    hint = f"; if they are no overshoot, {remedy}" if high > 2.0 or low < -1.0 else ""
-    batch = seen.reshape(len(pixels) if pixels.ndim == 4 else 1, -1)
-    told = f"{what} has {got}; they are clipped to {rule}{hint}"
-    on_clip(_clip(told, batch, ends))
-    return True
 
 
 def _clip(message: str, batch: Any, ends: tuple[float, float]) -> Clip:
@@ -496,28 +387,18 @@ def _clip(message: str, batch: Any, ends: tuple[float, float]) -> Clip:
     return Clip(message, counts[0], *ends, *counts[1:], float(total))
 
 
-def _are_bytes(seen: Any, low: float, high: float) -> bool:
-    """Whether floats with these extremes are plainly in [0, 255]: whole numbers, one above 2."""
-    if not (low >= 0.0 and 2.0 < high <= 255 + _ROUNDING):
-        return False
-    return bool((seen == seen.round()).all())
-
-
 def _remedy(what: str, ends: tuple[float, float], of_bytes: bool, values: ValueRange | None) -> str:
     """What to do about values with these extremes."""
     if what.startswith(("mask", "weights")):
-        return "divide by 255" if of_bytes else "divide them by the largest"
+        return "divide them by the largest"
     if values is not None:
         return "give a wider value_range, which target and renders share"
     if of_bytes:
         return "divide by 255, target and renders alike, or give value_range=(0, 255)"
-    if what.startswith(_NO_FIT):
-        return "divide all of them by the value that is white"
     given = f"value_range=({min(0.0, ends[0]):.6g}, {max(1.0, ends[1]):.6g})"
-    clip = ", or clip what is an overshoot" if ends[0] >= -1.0 and ends[1] <= 2.0 else ""
     return (
         f'give {given} or "auto", in the shell --value-range, or divide target and renders by the '
-        f"same number{clip}"
+        "same number; clip what is an overshoot"
     )
 
 
@@ -530,7 +411,7 @@ def unit_range(
 ) -> Pixels:
     """Values of (..., H, W, C) as floats in [0, 1], itself if they are; `on_clip` None: never clip.
 
-    hidden: (H, W), pixels whose values are put into this range silently.
+    hidden: (H, W), pixels that are put into this range silently.
     """
     given = pixels
     if values is not None:
@@ -549,12 +430,41 @@ def unit_range(
         low, high = extremes(seen)
     if not (np.isfinite(low) and np.isfinite(high)):
         bad = seen.size - int(np.count_nonzero(np.isfinite(seen)))
-        raise refuse_not_finite(what, bad, given)
-    if seen.dtype.itemsize == 2:  # float16 counts and adds up to 65504 only
-        seen = seen.astype(np.float32)
-    if not is_clipped(seen, given, low, high, what, on_clip, values):
+        raise ImageError(
+            f"{what} must be finite, got {bad} NaN or infinite values in {describe(given)}; "
+            "mend them in the renderer, or replace them with np.nan_to_num"
+        )
+    if is_unit(low, high):
         return pixels
+    if low < -_ROUNDING or high > 1.0 + _ROUNDING:
+        wide = seen.astype(np.float32) if seen.dtype.itemsize == 2 else seen  # sums above 65504
+        n = len(given) if given.ndim == 4 else 1
+        _tell_clipped(wide, describe(given), what, on_clip, values, n)
     return np.clip(pixels, 0.0, 1.0, order="C")
+
+
+def _tell_clipped(
+    seen: Pixels, about: str, what: str, on_clip: OnClip | None, values: ValueRange | None, n: int
+) -> None:
+    """Tell `on_clip` of values beyond [0, 1] in n images.
+
+    Raises ImageError where they are refused, ValueRangeError for renders that are plainly on
+    another scale: whole numbers up to more than 2 and at most 255.
+    """
+    low, high = extremes(seen)
+    ends = (low, high)
+    if values is not None:
+        ends = values.low + low * values.span, values.low + high * values.span
+    of_bytes = values is None and low >= 0.0 and 2.0 < high <= 255 + _ROUNDING
+    of_bytes = of_bytes and bool((seen == seen.round()).all())
+    got = f"values in [{ends[0]:.6g}, {ends[1]:.6g}], {about}"
+    rule, remedy = values or "[0, 1]", _remedy(what, ends, of_bytes, values)
+    if on_clip is None or of_bytes:
+        refused = ImageError if on_clip is None else ValueRangeError
+        raise refused(f"{what} must have values in {rule}, got {got}; {remedy}")
+    hint = f"; if they are no overshoot, {remedy}" if high > 2.0 or low < -1.0 else ""
+    told = f"{what} has {got}; they are clipped to {rule}{hint}"
+    on_clip(_clip(told, seen.reshape(n, -1), ends))
 
 
 def _scaled(pixels: Pixels, values: ValueRange) -> Pixels:

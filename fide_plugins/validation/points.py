@@ -5,7 +5,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Mapping
 from numbers import Real
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -42,24 +42,16 @@ def as_points(X: object, dim: int) -> Float64:
     return np.array(points, np.float64, order="C")
 
 
-def as_point(x: object, dim: int, name: str = "x") -> Float64:
-    """`x` as float64 (dim,), a copy; name: of `x` in errors.
-
-    Raises PointsError (a ValueError) as `as_points` does.
-    """
+def as_point(x: Any, dim: int, name: str = "x") -> Float64:
+    """`x` as float64 (dim,), a copy; name: of `x` in errors; raises as `as_points` does."""
     try:
-        point: Float64 = as_points([x], dim)[0]
-    except PointsError:
-        given: Any = x
-        try:
-            shape = np.shape(given)
-        except (TypeError, ValueError, RuntimeError):  # no array at all
-            shape = (dim,)
-        if shape == (dim,):
-            raise
-        got = "one number" if shape == () else f"the shape {shape}"
-        got = f"{shape[0]}" if len(shape) == 1 else got
-        raise PointsError(f"{name} must have {dim} numbers, not {got}") from None
+        shape: tuple[int, ...] = np.shape(x)
+    except (TypeError, ValueError, RuntimeError):  # no array at all
+        shape = (dim,)
+    if shape != (dim,):
+        got = shape[0] if len(shape) == 1 else f"the shape {shape}" if shape else "one number"
+        raise PointsError(f"{name} must have {dim} numbers, not {got}")
+    point: Float64 = as_points([x], dim)[0]
     return point
 
 
@@ -88,10 +80,9 @@ def whole_instead(value: object) -> int | None:
 
 def whole_number(name: str, value: object, minimum: int) -> int:
     """`value` as an int; OptionError (a ValueError) unless it is a whole number >= `minimum`."""
-    number = as_whole(value)
+    number, instead = as_whole(value), whole_instead(value)
     if number is None or number < minimum:
-        instead = whole_instead(value)
-        hint = "" if instead is None or instead < minimum else f"; write {instead}"
+        hint = f"; write {instead}" if instead is not None and instead >= minimum else ""
         raise OptionError(f"{name} must be a whole number >= {minimum}, not {value!r}{hint}")
     return number
 
@@ -136,9 +127,7 @@ def standard_deviation(value: Any) -> float:
     except (TypeError, ValueError, OverflowError):
         number = 0.0
     if not _SMALLEST_STD <= number <= 1:
-        raise OptionError(
-            f"sigma0 must lie in (0, 1] and be at least {_SMALLEST_STD}, not {value!r}"
-        )
+        raise OptionError(f"sigma0 must lie in (0, 1], at least {_SMALLEST_STD}, not {value!r}")
     return number
 
 
@@ -147,48 +136,36 @@ def standard_deviations(value: Any, dim: int) -> float | Float64:
     try:
         shape = np.shape(value)
     except ValueError:  # rows of several lengths
-        raise OptionError(f"sigma0 must be one number or {dim}, not {value!r}") from None
+        shape = (0,)
+    if shape not in ((), (dim,)):
+        raise OptionError(f"sigma0 must be one number or {dim}, not {value!r}")
     if shape == ():
         return standard_deviation(value)
-    if shape != (dim,):
-        raise OptionError(f"sigma0 must be one number or {dim}, not of shape {shape}")
     return np.array([standard_deviation(number) for number in value])
 
 
-class _Encodes(Protocol):
-    """A `Space`, which imports this module."""
-
-    def encode(self, params: Mapping[str, Any]) -> Float64: ...
-
-
-def starting_point(value: object, dim: int, space: _Encodes | None = None) -> Float64:
+def starting_point(value: object, dim: int, space: Any = None) -> Float64:
     """`value` as float64 (dim,), for None the center of the cube.
 
-    With a space it may be a dictionary of parameters, as `Space.decode` gives it.
-
-    Raises PointsError for what is no point of the cube, SpaceError for a dictionary that is not of
-    the space.
+    space: a `Space`, with which it may be a dictionary of parameters.  Raises PointsError for what
+    is no point of the cube, SpaceError for a dictionary that is not of the space.
     """
     if value is None:
         return np.full(dim, 0.5)
-    if isinstance(value, Mapping):
-        return _encoded(value, space)
-    try:
-        return as_point(value, dim, "it")
-    except PointsError as error:
-        hint = "" if space is None else "; to give values, pass a dictionary of them"
-        raise PointsError(
-            f"x0 must be a point of the cube, (dim,) = ({dim},): {error}{hint}"
-        ) from error
-
-
-def _encoded(params: Mapping[str, Any], space: _Encodes | None) -> Float64:
+    if not isinstance(value, Mapping):
+        try:
+            return as_point(value, dim, "it")
+        except PointsError as error:
+            hint = "" if space is None else "; to give values, pass a dictionary of them"
+            rule = f"x0 must be a point of the cube, (dim,) = ({dim},): {error}{hint}"
+            raise PointsError(rule) from error
     if space is None:
         raise PointsError(
             "x0 is a dictionary of parameters, which needs a Space of them in place of their "
             "number; or give a point of the cube"
         )
     try:
-        return space.encode(params)
+        point: Float64 = space.encode(value)
     except SpaceError as error:
         raise SpaceError(f"x0: {error}") from error
+    return point

@@ -34,11 +34,9 @@ class EncoderOfViews(PatchEncoder):
 
     def __init__(self, views: Views, base: PatchEncoder) -> None:
         self.views, self.base = views, base
-        self.name, self.uses_network = base.name, base.uses_network
-        self.weights_digest = base.weights_digest
         self.version = base.version + views.version
-        self.channel_subsets, self.threads = base.channel_subsets, base.threads
-        self.device = base.device
+        for name in ("name", "uses_network", "weights_digest", "channel_subsets", "device"):
+            setattr(self, name, getattr(base, name))
         shapes = [base.shape(*view.size) for view in views.views]
         if len({channels for _, channels in shapes}) > 1:
             raise OptionError(
@@ -54,8 +52,7 @@ class EncoderOfViews(PatchEncoder):
     def compute(self, batch: Float32) -> torch.Tensor:
         """Tokens (n, T, C) of packed renders (n, P, 1, 3), without further checks."""
         pairs = zip(self.views.views, self.views.split(batch), strict=True)
-        parts = [self.base.compute(view.shown(part)) for view, part in pairs]
-        return parts[0] if len(parts) == 1 else torch.cat(parts, dim=1)
+        return torch.cat([self.base.compute(view.shown(part)) for view, part in pairs], dim=1)
 
     def shape(self, height: int, width: int) -> tuple[int, int]:
         """(T, C) of all views together, whose sizes are known."""

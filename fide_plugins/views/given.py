@@ -3,19 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from numbers import Number
 from typing import NamedTuple
 
 import numpy as np
 
 from fide_plugins.errors import ImageError
 from fide_plugins.types import Float32, Mask
-from fide_plugins.validation.images import as_pixels, as_target, is_image
+from fide_plugins.validation.images import alpha_of, as_pixels, as_target, is_image
 from fide_plugins.validation.pixels import Pixels, ValueRange
-from fide_plugins.views.view import View
-from fide_plugins.views.weights import ALPHA, hidden_by, joined, read_weights
+from fide_plugins.views.view import View, hidden_by
 
-__all__ = ["Given", "is_list_of_images", "one_a_view", "opened", "read_given", "sizes_of"]
+__all__ = [
+    "ALPHA",
+    "Given",
+    "is_list_of_images",
+    "joined",
+    "one_a_view",
+    "opened",
+    "read_given",
+    "read_weights",
+    "sizes_of",
+]
+
+ALPHA = "alpha"
+"""In place of a mask: the alpha channel of the target."""
 
 
 def is_list_of_images(value: object) -> bool:
@@ -58,8 +69,7 @@ def read_given(target: object, mask: object, weights: object, of: str, raw: bool
     size = pixels.shape[0], pixels.shape[1]
     first = read_weights(mask, pixels, size, f"mask{of}")
     second = read_weights(weights, pixels, size, f"weights{of}")
-    product = joined(first, second, f"mask times weights{of}")
-    return Given(what, pixels, product)
+    return Given(what, pixels, joined(first, second, f"mask times weights{of}"))
 
 
 def opened(target: object, raw: bool = False) -> list[Pixels]:
@@ -79,7 +89,7 @@ def sizes_of(shapes: Sequence[Sequence[int]]) -> str:
 
 
 def one_a_view(name: str, given: object, targets: Sequence[object]) -> list[object]:
-    """A list of masks or weights, one for each target; a single one is that of all of one size.
+    """A list of masks or weights, one for each target; a single one is that of all.
 
     name, given: the argument and its value, see `Views.read`; masks themselves are not read.
 
@@ -88,32 +98,60 @@ def one_a_view(name: str, given: object, targets: Sequence[object]) -> list[obje
     k = len(targets)
     if given is None or (isinstance(given, str) and given == ALPHA):
         return [given] * k
-    if not isinstance(given, list | tuple) or _is_nested(given):
+    if isinstance(given, list | tuple):
+        if len(given) == k:
+            return list(given)
+        got = f"{len(given)} of them"
+    else:
         shapes = [picture.shape for picture in opened(targets, raw=True)]
         if len({shape[:2] for shape in shapes}) == 1:
             return [given] * k
         got = f"a single one, which needs views of one size, not {sizes_of(shapes)}"
-    elif len(given) == k:
-        return list(given)
-    else:
-        got = f"{len(given)} of them"
     raise ImageError(
         f"{name} must be a list with one entry for each of the {k} views, None for a view "
         f"without; got {got}"
     )
 
 
-def _is_nested(given: Sequence[object]) -> bool:
-    """Whether it is one mask as nested lists, H rows of W numbers; an entry of a list is none."""
-    return len(given) > 0 and all(map(_is_row, given))
+def read_weights(given: object, target: object, size: tuple[int, int], what: str) -> Float32 | None:
+    """Weights (H, W) in [0, 1] of a picture, of which the largest is 1; None if all are equal.
+
+    given: a gray picture, any input of `as_target`, of that size, gray times alpha where it is
+        transparent; "alpha" for the alpha channel of the target; None.
+    what: its name in errors.
+
+    Raises ImageError: wrong size, colors, values outside [0, 1], NaN, or zeros everywhere.
+    """
+    if given is None:
+        return None
+    if isinstance(given, str) and given == ALPHA:
+        try:
+            weights = alpha_of(target, f"the target of {what}='alpha'")
+        except ImageError as error:
+            raise ImageError(f"{error}; or give a {what} of its own, {what}=ARRAY") from error
+    else:
+        picture = as_target(given, what=what, size=size, behind=0.0)
+        weights = picture[..., 0].copy()
+        if (picture != weights[..., None]).any():
+            raise ImageError(f"{what} must be gray, (H, W), but it has colors; pass one channel")
+    return joined(weights, None, what)
 
 
-def _is_row(value: object) -> bool:
-    if isinstance(value, list | tuple):
-        return len(value) > 0 and all(map(_is_number, value))
-    ndim = getattr(value, "ndim", None)
-    return isinstance(ndim, int) and ndim == 1
+def joined(a: Float32 | None, b: Float32 | None, what: str) -> Float32 | None:
+    """Product of two weights (H, W), None for ones, of which the largest becomes 1.
 
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, Number | np.bool_) or getattr(value, "ndim", None) == 0
+    None if all are equal.  Raises ImageError for zeros everywhere.
+    """
+    if a is None and b is None:
+        return None
+    product = np.asarray((1 if a is None else a) * (1 if b is None else b))
+    largest = product.max()
+    if largest <= 0:
+        raise ImageError(
+            f"{what} is zero everywhere, so no pixel of the picture counts; white is what counts, "
+            "black or transparent what is hidden"
+        )
+    if product.min() == largest:
+        return None
+    weights: Float32 = np.ascontiguousarray(product / largest, np.float32)
+    return weights

@@ -1,13 +1,13 @@
 """Grain: noise that is independent from pixel to pixel, as that of path tracers and cameras is.
 
 Two questions, which need no loss.  *How much?*  Where a test of the scene renders one candidate
-twice, half of the mean squared difference of the two is the variance of a pixel, however far both
-are from the target.  *Is anything else left?*  Where an image is right, its difference from the
-target is grain, of the renderer and perhaps of the target.  Neighboring pixels are then not
-correlated, and the mean squared difference is about that variance, or twice that for a target with
-as much grain.  What is wrong in an image mostly covers several pixels, so they are correlated: the
-correlation is about the share of the squared difference that is no grain.  A small thing has a
-small share, so no mean of 3 x 3 to 8 x 8 pixels may stand out either.
+twice, half of the mean squared difference of the two is the variance of a pixel.  *Is anything else
+left?*  Where an image is right, its difference from the target is grain, of the renderer and
+perhaps of the target.  Neighboring pixels are then not correlated, and the mean squared difference
+is about that variance, or twice that for a target with as much grain.  What is wrong in an image
+mostly covers several pixels, so they are correlated: the correlation is about the share of the
+squared difference that is no grain.  A small thing has a small share, so no mean of 3 x 3 to 8 x 8
+pixels may stand out either.
 
 Where the target has more grain than the renders, which may have none, nobody knows how much there
 is.  Then it must be as strong all over the picture: most pixels have some, and no 9 x 9 pixels have
@@ -15,11 +15,7 @@ more of it than chance explains, since the edges of a thing in a wrong place wou
 be correlated, and single pixels and means of 2 x 2 to 8 x 8 stand out, as far as chance explains.
 
 Not seen is what changes no such mean by some five standard deviations of it (six, where grain may
-vary over the picture): things of a few pixels that are not much stronger than grain, and larger
-ones that are fainter.
-
-Noise of another kind (an image as a whole is brighter, a camera trembles) is not recognized, and
-neither is grain that a renderer has smoothed, or clipped at black or white.
+vary over the picture), and noise of another kind.
 """
 
 from __future__ import annotations
@@ -44,7 +40,6 @@ _FREE = 37  # degrees of freedom of that
 _SIDES = (3, 5, 8)  # pixels of a side, of which the mean must not stand out: strong pixels may
 _EVEN_SIDES = (1, 2, *_SIDES)  # where grain is as strong everywhere
 _SPOT = 5e-3  # probability of one such mean in a picture
-_ROWS = 64  # that are looked at first: most images are told by them
 _QUIET = 0.1  # of the standard deviation of all pixels, the least one that a window is given
 _LEAST = 400  # pixels, of which a correlation has a standard error of 0.05
 _MOST = 2.5  # times the variance of a pixel: twice, if the target has grain, and a reserve
@@ -93,15 +88,11 @@ class Grain:
         if self.variance is None:
             return None
         asked = (image, target, self.variance)
-        known, left = self._last
-        if len(known) != len(asked) or any(a is not b for a, b in zip(known, asked, strict=True)):
-            left = self._left(image, target, self.variance)
-            self._last = asked, left
-        return left
+        if list(map(id, self._last[0])) != list(map(id, asked)):  # `_last` keeps them alive
+            self._last = asked, self._left(image, target, self.variance)
+        return self._last[1]
 
     def _left(self, image: Float32, target: Float32, variance: float) -> float | None:
-        if self._looks_wrong(image, target):
-            return None
         apart = self._views.differences(image, target)
         square = _mean_square(apart)
         if 0 < square <= _MOST * variance:
@@ -109,18 +100,6 @@ class Grain:
         pairs = zip(apart, self._views.views, strict=True)
         even = square and all(is_even_grain(one, view.counted) for one, view in pairs)
         return float(np.sqrt(square)) if even else None
-
-    def _looks_wrong(self, image: Float32, target: Float32) -> bool:
-        """Whether neighbors in some rows are correlated by more than `is_grain` allows."""
-        images = self._views.split(image[None]), self._views.split(target[None])
-        for view, one, other in zip(self._views.views, *images, strict=True):
-            rows = slice(None, None, max(1, view.size[0] // _ROWS))
-            some = view.difference(one[0], other[0], rows)
-            numbers = max(1, int(np.count_nonzero(some.any(axis=-1))))
-            product = abs(float((some[:, 1:] * some[:, :-1]).sum()))
-            if product > (_CORRELATED + _CHANCE / numbers**0.5) * float(np.square(some).sum()):
-                return True
-        return False
 
     def state_dict(self) -> dict[str, Any]:
         """Everything; the image is the one in use, not a copy."""
@@ -178,8 +157,7 @@ def is_even_grain(difference: Float64, counted: int) -> bool:
 
 def _is_uncorrelated(difference: Float64, limit: float) -> bool:
     """Whether at least 400 pixels differ, or none, and neighbors are correlated by that at most."""
-    differ = np.count_nonzero(difference.any(axis=-1))
-    if 0 < differ < _LEAST:
+    if 0 < np.count_nonzero(difference.any(axis=-1)) < _LEAST:
         return False
     height, width, _ = difference.shape
     total = float(np.square(difference).sum())
@@ -202,7 +180,6 @@ def _stands_out(
 ) -> bool:
     """Whether the mean of any square of pixels is farther from 0 than chance explains.
 
-    difference: (H, W, C).  sides: of the squares, in pixels.
     variances: of a pixel, what (H, W, C) can be compared with.  limit: in standard deviations.
     """
     for side in sides:

@@ -39,13 +39,13 @@ def loss_of(
     user's own is tried on the target first (`losses.base`).
     Raises as `losses.resolve`; LossError for a made loss where there are several views.
     """
-    if isinstance(loss, LossOfViews | CallableOfViews):
+    if isinstance(loss, _OfViews):
         return loss
     if views.plain:
         made = losses.resolve(loss, views.target, device=device)
         return made if made is loss or loss is loss_not_stored else _tried(made, views.target)
     if loss is None or isinstance(loss, str):
-        name = "mse" if loss is None else loss
+        name = loss or "mse"
         return LossOfViews(views, [_of_view(name, view, device) for view in views.views], name)
     if isinstance(loss, LossOfTarget | CallableLoss):
         if views.listed:
@@ -55,9 +55,7 @@ def loss_of(
             )
         of_one, view = losses.resolve(loss, views.target), views.views[0]
         spec = of_one.spec
-        if spec is None:
-            return LossOfViews(views, [of_one], None, knows_target=True)
-        if view.weights is not None:  # as a checkpoint makes it again
+        if spec is not None and view.weights is not None:  # as a checkpoint makes it again
             of_one = _of_view(spec, view, device)
         return LossOfViews(views, [of_one], spec)
     if not callable(loss):
@@ -96,37 +94,27 @@ class _OfViews:
 class LossOfViews(_OfViews):
     """Mean of the views' losses, each divided by the mean of its weights.
 
-    each: loss of each view, in order.  One that knows the weights is not divided.
-    knows_target: whether they were made for the target as the user gave it, `View.target`, rather
-        than for `View.filled`.
+    each: loss of each view, in order, of `View.filled`.  One that knows the weights is not divided.
+    spec: its name; None: a user's own, which was made for the target as it was given.
     """
 
-    def __init__(
-        self,
-        views: Views,
-        each: list[ImageLoss],
-        spec: str | None,
-        *,
-        knows_target: bool = False,
-    ) -> None:
+    def __init__(self, views: Views, each: list[ImageLoss], spec: str | None) -> None:
         self.views, self._each, self.spec = views, each, spec
-        self._shown = View.blended if knows_target else View.shown
-        self.name = each[0].name
-        version = each[0].version
+        self.name, version = each[0].name, each[0].version
         self.version = None if version is None else version + views.version
 
     def compute(self, batch: Float32) -> Float64:
         """Losses (n,) of packed renders, without further checks."""
         parts = zip(self.views.views, self._each, self.views.split(batch), strict=True)
-        values = [self._of_view(*part) for part in parts]  # (n,) each
-        mean: Float64 = values[0] if len(values) == 1 else np.mean(values, axis=0)
+        mean: Float64 = np.mean([self._of_view(*part) for part in parts], axis=0)  # of (n,) each
         return mean
 
     def _of_view(self, view: View, loss: ImageLoss, part: Float32) -> Float64:
         knows_weights = getattr(loss, "weights", None) is not None
         if view.weights is None or (getattr(loss, "weighs_pixels", False) and knows_weights):
             return loss.compute(part)
-        values: Float64 = loss.compute(self._shown(view, part)) / view.mean_weight
+        shown = view.blended(part) if self.spec is None else view.shown(part)
+        values: Float64 = loss.compute(shown) / view.mean_weight
         return values
 
 

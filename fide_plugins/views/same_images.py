@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-import torch
 
 from fide_plugins.runtime.messages import warn_user
-from fide_plugins.types import Float64
+from fide_plugins.types import Float32, Float64
 
 __all__ = ["SameImages"]
 
@@ -24,49 +21,41 @@ _RELATIVE, _ABSOLUTE = 1e-4, 1e-9  # by which losses of such images differ at mo
 class SameImages:
     """Whether all images that were told so far are equal, but for rounding on a GPU.
 
-    A run that was loaded does not know.
+    A run that was loaded does not know.  Where losses differ, they were told beside the images and
+    judge something else: nothing is said.
 
-    Where losses differ, they were told beside the images and judge something else: nothing is said.
     generation: candidates of a generation, of which each counts before anything is said.
     """
 
     def __init__(self, generation: int) -> None:
         self._enough = max(generation, _LEAST)
         self._points: set[bytes] | None = set()  # None: two images differ, or it is not known
-        self._image: Any = None
-        self._loss = 0.0
+        self._first: tuple[Float32, float] | None = None  # image and loss
 
     @property
     def number(self) -> int:
-        """How many candidates have the same image, if these are enough to say so; 0 otherwise.
-
-        Beyond some 10,000 no more are counted.
-        """
+        """How many candidates, up to some 10,000, have the same image; 0: too few to say so."""
         number = 0 if self._points is None else len(self._points)
         return number if number >= self._enough else 0
 
     def forget(self) -> None:
         """Say nothing from now on."""
-        self._points = self._image = None
+        self._points = self._first = None
 
-    def note(self, points: Float64, images: Any, losses: Float64) -> None:
-        """Note images (n, H, W, 3), or None, and losses (n,) of points (n, d).
+    def note(self, points: Float64, images: Float32 | None, losses: Float64) -> None:
+        """Note images (n, H, W, 3) and losses (n,) of points (n, d); warns once if all are equal.
 
-        Warns once if all are equal.
+        images: None: nothing is known of these candidates.
         """
         if self._points is None or not len(points):
             return
-        if images is None:  # of these candidates nothing is known
+        if images is None:
             self.forget()
             return
-        if self._image is None:
-            image = images[0]
-            self._image = image.clone() if isinstance(image, torch.Tensor) else image.copy()
-            self._loss = float(losses[0])
-        one_device = _device(images) == _device(self._image)
+        image, loss = self._first = self._first or (images[0].copy(), float(losses[0]))
         with np.errstate(over="ignore"):  # of the largest numbers
-            close = np.isclose(losses, self._loss, rtol=_RELATIVE, atol=_ABSOLUTE).all()
-        if not (one_device and close and bool((abs(images - self._image) <= _ROUNDING).all())):
+            close = np.isclose(losses, loss, rtol=_RELATIVE, atol=_ABSOLUTE).all()
+        if not (close and (abs(images - image) <= _ROUNDING).all()):
             self.forget()
             return
         known = self.number
@@ -79,8 +68,3 @@ class SameImages:
                 "their ranges change what is seen? (These candidates lie around the start of the "
                 "search: elsewhere in the box images may differ.)"
             )
-
-
-def _device(images: Any) -> object:
-    """Device of a tensor; None of an array."""
-    return images.device if isinstance(images, torch.Tensor) else None

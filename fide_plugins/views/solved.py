@@ -4,15 +4,13 @@ How far a value is off is measured in steps, each 1/255 of the target's own cont
 of values, in the color in which it is largest, so that a faint picture counts as much as a strong
 one.  (A target of one color has no contrast: steps of 8 bits.)  If the target was rounded, to 8 or
 16 bits, half of *its* step is subtracted first: nobody knows better.  Of each view, and of all
-pixels that count (those that a mask hides do not):
+pixels that count:
 
 1. The mean square is at most that of rounding to whole steps, 1/12.
 2. A pixel *differs* where a color is off by more than one step.  At most one pixel in 1,000
    differs, and at most ten, none by more than 16 steps, and no 3 x 3 pixels hold more than two.
 
-So single antialiased pixels at an edge may be a little off.  A thing of several pixels may not:
-where it covers three neighbors, the last rule of 2 sees it, however large the picture is; many
-single pixels may not either.
+So single antialiased pixels at an edge may be a little off.  A thing of several pixels may not.
 """
 
 from __future__ import annotations
@@ -20,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from fide_plugins.types import Float32, Mask
+from fide_plugins.types import Float32
 from fide_plugins.views.view import DIGITS, View
 from fide_plugins.views.views import Views
 
@@ -31,7 +29,6 @@ _ROUNDING = 1 / 12  # mean square of rounding to whole steps
 _MOST = 16  # steps
 _SHARE, _SINGLE = 1e-3, 10  # of the pixels that count, and how many at most
 _TOGETHER = 2  # of 3 x 3
-_ROWS = 32  # that are looked at first: most images are told by them
 
 
 def is_solved(views: Views, image: Float32) -> bool:
@@ -43,11 +40,12 @@ def is_solved(views: Views, image: Float32) -> bool:
 def _equals(view: View, image: Float32, rounding: float) -> bool:
     """Whether an image (H, W, 3) equals a target with this largest error of rounding."""
     step = (view.contrast if view.contrast > DIGITS else 1.0) / _LEVELS
-    some = slice(None, None, max(1, len(image) // _ROWS))
-    for rows in (some, slice(None)):  # what some rows contribute to the mean may be too much
-        errors = view.errors(image, rounding, rows)
-        if view.share_of_mean(np.square(errors), rows) > _ROUNDING * step**2:
-            return False
+    errors = np.abs(image - view.target)
+    if rounding:
+        errors = np.maximum(errors - np.float32(rounding + DIGITS), 0, dtype=np.float32)
+    squares = np.square(errors).mean(axis=-1, dtype=np.float64)
+    if np.average(squares, weights=view.weights) > _ROUNDING * step**2:
+        return False
     largest = errors.max(axis=-1)
     if view.hidden is not None:
         largest[view.hidden] = 0
@@ -55,10 +53,5 @@ def _equals(view: View, image: Float32, rounding: float) -> bool:
     number = int(differ.sum())
     if float(largest.max()) > _MOST * step + DIGITS or number > min(_SHARE * view.counted, _SINGLE):
         return False
-    return number == 0 or _together(differ) <= _TOGETHER
-
-
-def _together(differ: Mask) -> int:
-    """The most pixels (H, W) of any 3 x 3 that differ."""
-    shares = uniform_filter(differ.astype(np.float64), 3, mode="constant")
-    return round(9 * float(shares.max()))
+    together = 9 * uniform_filter(differ.astype(np.float64), 3, mode="constant").max()
+    return round(float(together)) <= _TOGETHER

@@ -8,14 +8,17 @@ from functools import cached_property
 import numpy as np
 
 from fide_plugins.types import Float32, Float64, Mask
-from fide_plugins.views.weights import hidden_by
 
-__all__ = ["DIGITS", "View"]
+__all__ = ["DIGITS", "View", "hidden_by"]
 
 DIGITS = 5e-7  # by which values in [0, 1] may differ in single precision
-_ALL = slice(None)
-_ROWS = 32
 _SHADES = 8  # steps of a channel of the color that hidden pixels get
+
+
+def hidden_by(weights: Float32 | None) -> Mask | None:
+    """Pixels (H, W) of weight 0; None if there are none."""
+    hidden = None if weights is None else weights == 0
+    return None if hidden is None or not hidden.any() else hidden
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,9 +57,8 @@ class View:
     def filled(self) -> Float32:
         """Target whose hidden pixels have the mean color of all others, (H, W, 3).
 
-        So its own pixels there influence no tokens, and no losses that have a name.  The color is
-        rounded, since remembered tokens are compared with those of the next target (`retarget`),
-        which mostly has the same rounded one.
+        The color is rounded, since remembered tokens are compared with those of the next target
+        (`retarget`), which mostly has the same rounded one.
         """
         if self.hidden is None:
             return self.target
@@ -82,15 +84,11 @@ class View:
             blended: Float32 = np.where(roots == 1, batch, t + roots * (batch - t))
         return blended
 
-    def difference(self, image: Float32, other: Float32, rows: slice = _ALL) -> Float64:
-        """Difference of two images, (H, W, 3), whose mean square is the weighted one.
-
-        rows: of these alone.
-        """
-        apart = np.subtract(image[rows], other[rows], dtype=np.float64)
-        if self.weights is None:
-            return apart
-        apart *= self._roots[rows] / self.mean_weight**0.5
+    def difference(self, image: Float32, other: Float32) -> Float64:
+        """Difference of two images, (H, W, 3), whose mean square is the weighted one."""
+        apart = np.subtract(image, other, dtype=np.float64)
+        if self.weights is not None:
+            apart *= self._roots / self.mean_weight**0.5
         return apart
 
     def squared_error(self, image: Float32) -> float:
@@ -103,39 +101,18 @@ class View:
     @property
     def counted(self) -> int:
         """How many pixels count at all."""
-        height, width = self.size
-        return height * width if self.weights is None else int(np.count_nonzero(self.weights))
+        return int(np.prod(self.size) if self.weights is None else np.count_nonzero(self.weights))
 
     @cached_property
     def contrast(self) -> float:
         """Range of the target's values where they count, in the color in which it is largest."""
-        seen = self.target[... if self.hidden is None else ~self.hidden].reshape(-1, 3)
-        return float(np.ptp(seen, axis=0).max())
+        return float(np.ptp(self._seen(self.target), axis=0).max())
 
     def is_rounded(self, levels: float) -> bool:
         """Whether all values of the target that count are whole multiples of 1 / levels."""
-        rows = slice(None, None, max(1, len(self.target) // _ROWS))
-        for some in (rows, _ALL):  # a few rows tell mostly
-            steps = self.target[some].astype(np.float64) * levels
-            whole = abs(steps - np.round(steps)) <= levels * DIGITS
-            if not (whole if self.hidden is None else whole[~self.hidden[some]]).all():
-                return False
-        return True
+        steps = self._seen(self.target).astype(np.float64) * levels
+        return bool((abs(steps - np.round(steps)) <= levels * DIGITS).all())
 
-    def errors(self, image: Float32, rounding: float, rows: slice = _ALL) -> Float32:
-        """(H, W, 3), how much farther than `rounding` an image is from the target; 0: no farther.
-
-        rows: of these alone.
-        """
-        errors: Float32 = np.abs(image[rows] - self.target[rows])
-        if rounding:
-            errors = np.maximum(errors - np.float32(rounding + DIGITS), 0, dtype=np.float32)
-        return errors
-
-    def share_of_mean(self, values: Float32, rows: slice = _ALL) -> float:
-        """What the values (h, W, 3) of these rows contribute to the weighted mean of all."""
-        height, width = self.size
-        if self.weights is None:
-            return float(values.sum(dtype=np.float64)) / (3 * height * width)
-        sums = float((values.mean(axis=-1, dtype=np.float64) * self.weights[rows]).sum())
-        return sums / (height * width * self.mean_weight)
+    def _seen(self, image: Float32) -> Float32:
+        """Pixels (m, 3) that count."""
+        return image[... if self.hidden is None else ~self.hidden].reshape(-1, 3)

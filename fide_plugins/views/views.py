@@ -1,8 +1,6 @@
 """Targets and weights of the views of a scene.
 
-Everything behind `evaluation` handles one array for each candidate.  Several views are
-*packed*: all pixels of all views, in order, as one picture (P, 1, 3) with P = sum H W.  Loss and
-encoder of views take it apart again.
+Several views are *packed*: all pixels of all views, in order, as one picture (P, 1, 3).
 """
 
 from __future__ import annotations
@@ -18,13 +16,12 @@ from fide_plugins.errors import ImageError
 from fide_plugins.runtime.messages import warn_user
 from fide_plugins.runtime.schema import array, check, real, row
 from fide_plugins.types import Float32, Float64
-from fide_plugins.validation.images import as_batch, is_image
+from fide_plugins.validation.images import as_batch
 from fide_plugins.validation.pixels import (
     AUTO,
     Clip,
     OnClip,
     ValueRange,
-    describe,
     range_of,
     restored,
     value_range_of,
@@ -66,9 +63,8 @@ class Views:
 
         target: a picture, any input of `as_target`, or a list of them; or views, as they are.
         mask, weights: None; (H, W) in [0, 1], any gray picture, "alpha" for the target's own alpha
-            channel; for a list of targets a list with one of them for each view, "alpha", or a
-            single one for all views, which then have its size.
-        value_range: None, two numbers, or "auto", see `validation.value_range`.
+            channel; for a list of targets also a list with one of them for each view.
+        value_range: None, two numbers, or "auto".
 
         Raises ImageError, naming the view; OptionError for what is no range.
         """
@@ -89,18 +85,13 @@ class Views:
         assert not isinstance(values, str)
         made = cls([one.view(values) for one in given], listed=listed, values=values)
         if values is not None and value_range is not values:  # given by a user
-            made._warn_if_dark(values)
+            span = max(v.filled.max() for v in made.views) - min(v.filled.min() for v in made.views)
+            if 0 < span < _LEAST_USED:  # 8 bits would not show it
+                warn_user(
+                    f"the target takes up {span:.2g} of value_range {values}: is it on the scale "
+                    "of the renders?"
+                )
         return made
-
-    def _warn_if_dark(self, values: ValueRange) -> None:
-        """Warn where the targets take up so little of the range that 8 bits would not show it."""
-        used = [view.target if view.hidden is None else view.filled for view in self.views]
-        span = max(float(one.max()) for one in used) - min(float(one.min()) for one in used)
-        if 0 < span < _LEAST_USED:
-            warn_user(
-                f"the target takes up {span:.2g} of value_range {values}: is it on the scale of "
-                "the renders?"
-            )
 
     def retargeted(self, target: object) -> Views:
         """The same views, weights and range of values, for the next picture, or list of pictures.
@@ -179,41 +170,35 @@ class Views:
         if n is None:
             first = images[0] if self.listed and isinstance(images, list | tuple) else images
             n = len(first) if hasattr(first, "__len__") else 0
-        is_packed = isinstance(images, np.ndarray) and images.shape == (n, *self.target.shape)
-        if not self.listed or is_packed:
-            hidden = None if self.listed else self.views[0].hidden
-            values = None if self.listed else self.values
+        if not self.listed:
+            hidden, values = self.views[0].hidden, self.values
             return as_batch(
                 images, self.target.shape, n=n, on_clip=on_clip, hidden=hidden, values=values
             )
+        if isinstance(images, np.ndarray) and images.shape == (n, *self.target.shape):
+            return as_batch(images, self.target.shape, n=n, on_clip=on_clip)  # packed
         if not isinstance(images, list | tuple) or len(images) != len(self.views):
-            raise ImageError(self._rule(images))
+            got = f"{len(images)} entries" if isinstance(images, list | tuple) else "no list"
+            shape = f", of shape {images.shape}" if isinstance(images, np.ndarray) else ""
+            raise ImageError(
+                f"images must be a list of {len(self.views)} batches (n, H, W, C), one for each "
+                f"view, {self.sizes}; got {got}{shape}; renders candidate by candidate become that "
+                "by list(zip(*images))"
+            )
         batches = []
         for i, (view, batch) in enumerate(zip(self.views, images, strict=True)):
+
+            def said(clip: Clip, i: int = i) -> None:
+                on_clip(clip.of_view(i))
+
             try:
-                said, hidden = _naming(i, on_clip), view.hidden
                 made = as_batch(
-                    batch, view.size, n=n, on_clip=said, hidden=hidden, values=self.values
+                    batch, view.size, n=n, on_clip=said, hidden=view.hidden, values=self.values
                 )
-                batches.append(made)
             except ImageError as error:
                 raise type(error)(f"view {i}: {error}") from error
+            batches.append(made)
         return self.pack(batches, (n,))
-
-    def _rule(self, images: object) -> str:
-        shapes = ", ".join(f"(n, {h}, {w}, C)" for h, w in (view.size for view in self.views))
-        got = f"a {type(images).__name__}"
-        hint = ""
-        if isinstance(images, list | tuple):
-            got = f"{len(images)} entries"
-            if images and all(is_list_of_images(one) for one in images):
-                hint = "; of renders candidate by candidate list(zip(*images)) makes that"
-        elif isinstance(images, np.ndarray):
-            got = f"an array of shape {images.shape}"
-        return (
-            f"images must be a list of {len(self.views)} batches, one for each view, {shapes}; "
-            f"got {got}{hint}"
-        )
 
     def split(self, batch: Float32) -> list[Float32]:
         """Renders (n, H, W, 3) of each view."""
@@ -237,7 +222,7 @@ class Views:
         elif not isinstance(image, list | tuple) or len(image) != len(self.views):
             raise ImageError(
                 f"with {len(self.views)} targets a render is a list of {len(self.views)} images, "
-                f"one for each view, {self.sizes}; got {_described(image)}"
+                f"one for each view, {self.sizes}; got a {type(image).__name__} of another length"
             )
         else:
             batch = [[one] for one in image]
@@ -256,19 +241,15 @@ class Views:
 
     def differences(self, image: Float32, other: Float32) -> list[Float64]:
         """Difference (H, W, 3) of two packed images in each view, see `View.difference`."""
-        pairs = zip(self.split(image[None]), self.split(other[None]), strict=True)
-        return [
-            view.difference(one[0], two[0])
-            for view, (one, two) in zip(self.views, pairs, strict=True)
-        ]
+        parts = zip(self.views, self.split(image[None]), self.split(other[None]), strict=True)
+        return [view.difference(one[0], two[0]) for view, one, two in parts]
 
     @cached_property
     def roundings(self) -> list[float]:
         """Largest error of rounding in the target of each view: half a step; 0: not rounded."""
         levels = list(_LEVELS)
-        span = 0.0 if self.values is None else self.values.span
-        if span >= _FEWEST:
-            levels.append(span)
+        if self.values is not None and self.values.span >= _FEWEST:
+            levels.append(self.values.span)
         return [next((0.5 / n for n in levels if one.is_rounded(n)), 0.0) for one in self.views]
 
     @cached_property
@@ -297,7 +278,7 @@ class Views:
         if isinstance(target, Views):
             return target
         made = cls.read(target, weights=settings["weights"])
-        values = value_range_of(settings.get("value_range"))  # earlier versions have none
+        values = value_range_of(settings.get("value_range"))
         assert not isinstance(values, str)
         return cls(made.views, listed=made.listed, values=values)
 
@@ -328,17 +309,3 @@ def views_of(
             raise ImageError("mask, weights and value_range belong to a target: set target=, too")
         return None
     return Views.read(target, mask, weights, value_range)
-
-
-def _described(image: object) -> str:
-    if isinstance(image, list | tuple):
-        return f"{len(image)} images"
-    known = is_image(image) and hasattr(image, "dtype")
-    return f"one image, {describe(image)}" if known else f"a {type(image).__name__}"
-
-
-def _naming(view: int, on_clip: OnClip) -> OnClip:
-    def said(clip: Clip) -> None:
-        on_clip(clip.of_view(view))
-
-    return said

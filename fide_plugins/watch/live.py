@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
 __all__ = ["LiveFile", "listed"]
 
-_MOST = 2000  # improvements that are kept; beyond that every second of the older half is dropped
-
 
 class LiveFile:
     """Callback of `fit` that writes `live.json` and `best.png` into its run directory.
@@ -35,7 +33,6 @@ class LiveFile:
         self._every, self._clock = every, clock
         self._out: Path | None = None
         self._workers, self._budget = 1, None
-        self._improvements: list[tuple[int, float]] = []
         self._written = -float("inf")
         self._new_best = True  # since best.png was written
         self._newest: Event | None = None
@@ -46,15 +43,7 @@ class LiveFile:
 
     def on_evaluation(self, event: Event) -> None:
         """Write what is known at an event, unless that was done just now."""
-        known = self._improvements[-1][1] if self._improvements else float("inf")
-        if event.best_loss > known:  # images are compared in another way from now on
-            self._improvements.clear()
-        if event.best_loss != known:
-            self._new_best = True
-            self._improvements.append((event.evaluation + 1, event.best_loss))
-            if len(self._improvements) > _MOST:
-                half = _MOST // 2
-                self._improvements[:half] = self._improvements[:half:2]
+        self._new_best |= self._newest is None or event.best_loss != self._newest.best_loss
         self._newest, now = event, self._clock()
         if now >= self._written + self._every:
             self._written = now
@@ -72,7 +61,6 @@ class LiveFile:
             "budget": self._budget,
             "seconds": event.seconds,
             "best_loss": event.best_loss,
-            "improvements": self._improvements,
             "parameters": [] if best is None else listed(event.optimizer.space, best.x),
             "workers": self._workers,
             "busy": busy,

@@ -1,8 +1,7 @@
 """Serves the page of one run directory, to this machine only.
 
-A page of the web can make a browser send requests to 127.0.0.1, and can give 127.0.0.1 a name of
-its own (DNS rebinding) to read the answers.  So a request must name the server as 127.0.0.1 or
-localhost, with its port, in the header Host.
+A page of the web can give 127.0.0.1 a name of its own (DNS rebinding) to read the answers, so a
+request must name the server as 127.0.0.1 or localhost, with its port, in the header Host.
 """
 
 from __future__ import annotations
@@ -87,25 +86,18 @@ def serve(directory: str | os.PathLike[str], port: int = 0) -> tuple[Server, str
     path = Path(directory)
     if path.exists() and not path.is_dir():
         raise OptionError(f"{os.fspath(directory)!r} is no directory; name that of a run")
-    _check_no_comparison(path)
+    if (path / "study.json").exists():
+        run = next(path.glob("cells/*/*/*/seed-*"), path / "cells/TASK/LOSS/OPTIMIZER/seed-0")
+        raise RunDirectoryError(
+            f"{path} holds a comparison, and the page is of one run: name that, such as {run}; of "
+            f"all of them there is a report: fide report {shlex.quote(str(path))}"
+        )
     if not 0 <= port <= 65535:
         raise OptionError(f"a port is a number from 0 to 65535, not {port}")
     server = Server(directory, port)
     serving = partial(server.serve_forever, poll_interval=_POLL)
     threading.Thread(target=serving, name="fide-watch", daemon=True).start()
     return server, server.url
-
-
-def _check_no_comparison(path: Path) -> None:
-    """Raise RunDirectoryError for the directory of a comparison, naming one of a run in it."""
-    if not (path / "study.json").exists():
-        return
-    runs = sorted(path.glob("cells/*/*/*/seed-*"))
-    run = runs[0] if runs else path / "cells/TASK/LOSS/OPTIMIZER/seed-0"
-    raise RunDirectoryError(
-        f"{path} holds a comparison, and the page is of one run: name that, such as {run}; "
-        f"of all of them there is a report: fide report {shlex.quote(str(path))}"
-    )
 
 
 class _Handler(BaseHTTPRequestHandler):

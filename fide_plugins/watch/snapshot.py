@@ -13,13 +13,10 @@ import time
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from fide_plugins.recording.directory import LIVE
+from fide_plugins.renderers.naming import flat
 from fide_plugins.runtime.files import MOST_BYTES, read_regular
 from fide_plugins.validation.pixels import MAX_PIXELS
-from fide_plugins.watch.live import listed
 
 __all__ = ["PICTURES", "RunFiles"]
 
@@ -29,7 +26,6 @@ _SIZE = struct.Struct(">II")
 _MOST_OF_JSON = 2**24
 _MOST_POINTS = 1000
 _MOST_SHOWN = 2048  # pixels a side of the difference; larger pictures are reduced
-_ROWS = 64  # of it that are computed at a time
 _QUIET = 30.0  # seconds without a new file before a run may be said to have stopped
 _WRITTEN = ("run.json", "run.ckpt", "curve.csv", LIVE)
 _KNOWN: dict[str, tuple[type, ...]] = {  # of live.json, what may have which type
@@ -79,8 +75,15 @@ class RunFiles:
         curve = self._once("curve.csv", self._mark("curve.csv"), self._curve) or {}
         newest = max(curve, live, key=lambda one: _whole(one.get("evaluations")))
         shown |= _checked(curve) | _checked(live) | _checked(newest)
-        shown["improvements"] = _joined(curve, newest)
-        shown["parameters"] = _rows(live.get("parameters")) or self._parameters(settings)
+        points = curve.get("improvements", [])
+        newest_point = [shown.get("evaluations"), shown.get("best_loss")]
+        if None not in newest_point and (not points or newest_point[1] != points[-1][1]):
+            points = [*points, newest_point]
+        step = 1 + len(points) // _MOST_POINTS
+        shown["improvements"] = [*points[:-1:step], *points[-1:]]
+        shown["parameters"] = _rows(live.get("parameters"))
+        if not shown["parameters"] and not under_way:
+            shown["parameters"] = _rows(_found(totals))
         if shown["state"] == "running" and self._has_stopped():
             shown["state"] = "stopped without an end; continue with --resume"
         if shown["state"] != "running":
@@ -135,15 +138,17 @@ class RunFiles:
 
     def _difference(self) -> bytes | None:
         """Absolute difference of target and best image, four times as strong, for a screen."""
-        from PIL import Image
+        from PIL import Image, ImageChops
 
         data = (self.picture(name) or b"" for name in PICTURES[:2])
         buffer = io.BytesIO()
         try:
-            one, other = (Image.open(io.BytesIO(each), formats=["PNG"]) for each in data)
-            if one.size != other.size or math.prod(one.size) > MAX_PIXELS:  # nothing decoded yet
-                return None
-            made = Image.fromarray(_largest_differences(one, other))
+            pair = [Image.open(io.BytesIO(each), formats=["PNG"]) for each in data]
+            if pair[0].size != pair[1].size or math.prod(pair[0].size) > MAX_PIXELS:
+                return None  # nothing is decoded yet
+            for image in pair:
+                image.thumbnail((_MOST_SHOWN, _MOST_SHOWN))
+            made = ImageChops.difference(*(image.convert("RGB") for image in pair))
             made.point([min(4 * value, 255) for value in range(256)] * 3).save(buffer, "PNG")
         except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
             return None
@@ -167,22 +172,6 @@ class RunFiles:
         known = {"evaluations": number, "best_loss": best, "seconds": seconds}
         return {**known, "improvements": improvements}
 
-    def _parameters(self, settings: dict[str, Any]) -> list[list[str]]:
-        return self._once("run.ckpt", self._mark("run.ckpt"), lambda: self._saved(settings)) or []
-
-    def _saved(self, settings: dict[str, Any]) -> list[list[str]]:
-        from fide_plugins.recording.storage import read_checkpoint
-        from fide_plugins.runtime.schema import IMPOSSIBLE
-        from fide_plugins.space import Space
-
-        try:
-            x = read_checkpoint(self.path).record["x_best"]
-            space = settings.get("space")
-            named = None if space is None else Space.from_dict(space)
-            return [] if x is None else _rows(listed(named, x))
-        except (OSError, *IMPOSSIBLE):
-            return []
-
 
 def _is_picture(data: bytes) -> bool:
     """Whether it begins as a PNG that may be decoded: a few bytes may say billions of pixels."""
@@ -190,24 +179,6 @@ def _is_picture(data: bytes) -> bool:
         return False
     width, height = _SIZE.unpack_from(data, len(_PNG))
     return bool(width * height <= MAX_PIXELS)
-
-
-def _largest_differences(one: Any, other: Any) -> NDArray[np.uint8]:
-    """Absolute difference (h, w, 3) of two PIL images, of each block of pixels the largest."""
-    from PIL import ImageChops
-
-    width, height = one.size
-    factor = -(-max(one.size) // _MOST_SHOWN)
-    strips = []
-    for top in range(0, height, factor * _ROWS):  # so that no whole picture is held once more
-        box = (0, top, width, min(top + factor * _ROWS, height))
-        strip = np.asarray(
-            ImageChops.difference(one.crop(box).convert("RGB"), other.crop(box).convert("RGB"))
-        )
-        rows, columns = (np.arange(0, side, factor) for side in strip.shape[:2])
-        reduced = np.maximum.reduceat(strip, rows, axis=0)
-        strips.append(np.maximum.reduceat(reduced, columns, axis=1))
-    return np.concatenate(strips)
 
 
 def _text(value: Any) -> str:
@@ -221,29 +192,17 @@ def _whole(value: Any) -> int:
 def _checked(live: dict[str, Any]) -> dict[str, Any]:
     """Entries of `live.json` that have the right type, and are numbers that a page can show."""
     right = {k: live[k] for k, types in _KNOWN.items() if type(live.get(k)) in types}
-    return {k: v for k, v in right.items() if isinstance(v, str) or _is_usual(v)}
+    return {k: v for k, v in right.items() if isinstance(v, str) or abs(v) < 2**53}
 
 
-def _is_usual(value: float) -> bool:
-    return math.isfinite(value) if isinstance(value, float) else abs(value) < 2**53
-
-
-def _points(value: Any) -> list[list[float]]:
-    if not isinstance(value, list):
-        return []
+def _found(totals: Any) -> list[list[Any]]:
+    """Parameters that a run which has ended has found."""
+    params = totals.get("params") if isinstance(totals, dict) else None
     try:
-        pairs = [[float(a), float(b)] for a, b in value]
-    except (TypeError, ValueError, OverflowError):
+        pairs = flat(params) if isinstance(params, dict) else []
+    except RecursionError:
         return []
-    finite = [pair for pair in pairs if all(map(math.isfinite, pair))]
-    step = 1 + len(finite) // _MOST_POINTS
-    return [*finite[:-1:step], *finite[-1:]]
-
-
-def _joined(curve: dict[str, Any], newest: dict[str, Any]) -> list[list[float]]:
-    """Improvements of the newest, after those of the curve, which knows of former calls."""
-    early, late = _points(curve.get("improvements")), _points(newest.get("improvements"))
-    return [point for point in early if not late or point[0] < late[0][0]] + late
+    return [[k, f"{v:.5g}" if isinstance(v, float) else v, ""] for k, v in pairs]
 
 
 def _rows(value: Any) -> list[list[str]]:

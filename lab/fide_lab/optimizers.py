@@ -74,8 +74,7 @@ def check(name: Named, settings: Iterable[str]) -> None:
 def make(name: Named, dim: int | Space, target: object = None, **settings: Any) -> Optimizer:
     """Optimizer `name` over [0, 1]^dim for `target`, with its own `settings`.
 
-    dim: number of parameters; or a space, of which most optimizers see the number only, and those
-        that have an option `groups` also which blocks of parameters are exchangeable.
+    dim: number of parameters; or a space, of which most optimizers see the number only.
 
     Raises UnknownNameError, or OptionError listing the options there are (both ValueErrors).
     """
@@ -83,9 +82,6 @@ def make(name: Named, dim: int | Space, target: object = None, **settings: Any) 
     cls = _resolve(name)
     takes_space = getattr(cls, "takes_space", False)
     space = dim if takes_space else getattr(dim, "dim", dim)
-    blocks = getattr(dim, "largest_family", None)
-    if blocks and space is not dim and "groups" in options(name):
-        settings = {"groups": blocks, **settings}
     optimizer: Optimizer = cls(space, target, **settings)
     if not isinstance(optimizer, Optimizer):
         raise OptionError(
@@ -119,8 +115,8 @@ def load(
 
 def options(name: Named) -> list[str]:
     """Names of the options of optimizer `name`; empty where it takes any."""
-    known: set[str] = set()
     resolved = _resolve(name)
+    known = set(getattr(resolved, "more_options", ()))
     if hasattr(resolved, "option_names"):
         return list(resolved.option_names())
     classes: tuple[Any, ...] = inspect.getmro(resolved) if inspect.isclass(resolved) else ()

@@ -1,21 +1,13 @@
 """Base class of Mitsuba tasks: samples per pixel, variants, noise, and rendering.
 
-Notation: L [H, W, 3] linear radiance, the mean over `spp` paths through every pixel; the image is
-sRGB(min(L, 1)), the nonlinear encoding of IEC 61966-2-1.
-
-Paths are independent and a pixel is the mean of its own paths (a box filter), so the noise of
-different pixels is independent, and a frame is bit-identical on any number of threads.
-
-Noise seeds have 32 bits, so two frames have the same noise with a probability of 2^-32. With the
-variant scalar it is larger: Mitsuba multiplies the seed by H W modulo 2^32 there, which leaves
-2^32 / gcd(H W, 2^32) kinds of noise: 16.8 million at 112 x 112, but 65,536 at 256 x 256 and 4,096
-at 1024 x 1024.
+L [H, W, 3] is linear radiance, the mean over `spp` paths through every pixel; the image is
+sRGB(min(L, 1)), the nonlinear encoding of IEC 61966-2-1.  A pixel is the mean of its own paths (a
+box filter), so noise is independent between pixels, and of the number of threads.  Noise seeds have
+32 bits; the variant scalar multiplies them by H W modulo 2^32.
 """
 
 from __future__ import annotations
 
-import copy
-import threading
 import time
 from abc import abstractmethod
 from collections.abc import Iterator
@@ -27,7 +19,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from fide_tasks import mitsuba_variant
 from fide_tasks.base import Image, Task, Vector, reserved_seeds, whole_number
-from fide_tasks.render_workers import Job, RenderWorkers, cores
 
 _CHUNK = 2**22  # most paths of one pass of a reference: its noise, hence a target, depends on it
 _BLOCK = 16  # pixels across what a thread of scalar draws at once: the noise depends on it as well
@@ -47,12 +38,7 @@ class MitsubaTask(Task):
         length. None: default of the task.
     variant: "auto", "cuda", "llvm" or "scalar"; see `mitsuba_variant.choose`. Afterwards the
         attribute `variant` is Mitsuba's name of the one in use.
-    denoise: whether OptiX denoises each frame (not the reference), with variant "cuda" only.
-    workers: number of processes that share the candidates of one `render`. 1 renders in this
-        process, which a crash of the renderer ends and a hang blocks. One process already uses all
-        cores, so more are faster only for frames of about 32 pixels; but with more, a crash or a
-        hang becomes a `RenderWorkerError`, after which rendering can continue.
-    threads: number of threads of each process; None divides all cores among the processes.
+    threads: number of threads; None: one for each core.
     reference_spp: samples per pixel of `reference` and of a generated target. None: default of the
         task.
     target: the user's own picture, float (H, W, 3) in [0, 1], instead of a generated one.
@@ -64,7 +50,7 @@ class MitsubaTask(Task):
     """
 
     stochastic = True
-    incidental_options = ("workers", "threads")
+    incidental_options = ("threads",)
     default_spp: ClassVar[int]
     default_max_depth: ClassVar[int]
     default_reference_spp: ClassVar[int] = 1024
@@ -77,8 +63,6 @@ class MitsubaTask(Task):
         spp: int | None = None,
         max_depth: int | None = None,
         variant: str = "auto",
-        denoise: bool = False,
-        workers: int = 1,
         threads: int | None = None,
         reference_spp: int | None = None,
         target: ArrayLike | None = None,
@@ -89,29 +73,9 @@ class MitsubaTask(Task):
         self.reference_spp = whole_number("reference_spp", judging, minimum=1)
         self.max_depth = _checked_depth(self.default_max_depth if max_depth is None else max_depth)
         self.threads = None if threads is None else whole_number("threads", threads, minimum=1)
-        self.workers = whole_number("workers", workers, minimum=1)
         self.variant = mitsuba_variant.choose(variant)
-        self.denoise = self._checked_denoise(denoise)
         self.times = {"load": 0.0, "update": 0.0, "render": 0.0, "copy": 0.0, "frames": 0}
         self._loaded: _Loaded | None = None
-        self._pool: RenderWorkers | None = None
-        self._lock = threading.Lock()  # threads take turns with the pool
-
-    def _checked_denoise(self, denoise: bool) -> bool:
-        if not isinstance(denoise, bool):
-            raise ValueError(f"denoise must be True or False, not {denoise!r}")
-        if denoise and not self.variant.startswith("cuda"):
-            raise ValueError(
-                "denoise=True needs Mitsuba's OptiX denoiser, which runs with variant 'cuda' only; "
-                f"here it is {self.variant}: leave denoise out, and raise spp for less noise"
-            )
-        if denoise and (problem := mitsuba_variant.problem_with_denoiser()):
-            raise ValueError(
-                "denoise=True needs Mitsuba's OptiX denoiser, which does not run here "
-                f"({problem}): leave denoise out, or, if the NVIDIA driver lacks its file "
-                "nvoptix.bin, as in many containers, provide that"
-            )
-        return denoise
 
     @property
     def renderer(self) -> str:
@@ -135,8 +99,11 @@ class MitsubaTask(Task):
         return {"type": "path", "max_depth": self.max_depth}
 
     def _render(self, values: Vector, out: Image, seeds: NDArray[np.uint32]) -> None:
-        pairs = zip(values, seeds.tolist(), strict=True)
-        self._draw_all([Job(v, seed, self.spp, encoded=True) for v, seed in pairs], out)
+        with self.open():
+            for v, seed, frame in zip(values, seeds.tolist(), out, strict=True):
+                radiance, start = self._draw(v, seed, self.spp), time.perf_counter()
+                to_srgb(radiance, frame)
+                self.times["copy"] += time.perf_counter() - start
 
     def _reference(self, values: Vector) -> Image:
         return self._converged(values, stream=1)
@@ -147,45 +114,21 @@ class MitsubaTask(Task):
         return self._converged(self._one(self._x_star), stream=2 + self.seed)
 
     def _converged(self, values: Vector, stream: int) -> Image:
-        """Render with `reference_spp` samples per pixel, in passes that processes can share."""
-        height, width = self.size
-        most = max(1, _CHUNK // (height * width))
+        """Render with `reference_spp` samples per pixel, in passes of limited size."""
+        most = max(1, _CHUNK // (self.size[0] * self.size[1]))
         parts = [most] * (self.reference_spp // most) + [self.reference_spp % most]
-        seeds = reserved_seeds(len(parts), stream).tolist()
-        jobs = [Job(values, s, n, encoded=False) for s, n in zip(seeds, parts, strict=True) if n]
         total = np.zeros(self.shape)
-        some: Image = np.empty((self.workers, *self.shape), np.float32)
-        for i in range(0, len(jobs), self.workers):
-            batch = jobs[i : i + self.workers]
-            self._draw_all(batch, some[: len(batch)])
-            for job, radiance in zip(batch, some, strict=False):
-                total += job.spp * radiance
+        with self.open():
+            for seed, spp in zip(reserved_seeds(len(parts), stream).tolist(), parts, strict=True):
+                if spp:
+                    total += spp * self._draw(values, seed, spp)
         image: Image = np.empty(self.shape, np.float32)
         to_srgb((total / self.reference_spp).astype(np.float32), image)
         return image
 
-    def _draw_all(self, jobs: list[Job], out: Image) -> None:
-        """Draw frames into out, (n, H, W, 3), in this process or in others."""
-        if self.workers == 1:
-            with self.open():
-                for job, frame in zip(jobs, out, strict=True):
-                    self.draw(job, frame)
-        elif jobs:
-            with self._lock:
-                if self._pool is None or self._pool.closed:
-                    share = self.threads or max(1, cores() // self.workers)
-                    self._pool = RenderWorkers(self._alone(share), self.workers, self.shape)
-                self._pool.render(jobs, out)
-
-    def _alone(self, threads: int) -> MitsubaTask:
-        """Return this task as one process has it; its times are these."""
-        task = copy.copy(self)
-        task.workers, task.threads, task.times = 1, threads, self.times
-        return task
-
     @contextmanager
     def open(self) -> Iterator[None]:
-        """Load the scene if need be; within this context `draw` may be called."""
+        """Load the scene if need be, and keep Mitsuba to this task."""
         with mitsuba_variant.in_variant(self.variant, self.threads) as mi:
             if self._loaded is None:
                 start = time.perf_counter()
@@ -193,34 +136,26 @@ class MitsubaTask(Task):
                 self.times["load"] += time.perf_counter() - start
             yield
 
-    def draw(self, job: Job, out: Image) -> None:
-        """Draw one frame into out, (H, W, 3), encoded or as linear radiance; see `open`."""
+    def _draw(self, values: Vector, seed: int, spp: int) -> Image:
+        """Linear radiance (H, W, 3) of physical values, (dim,); see `open`."""
         assert self._loaded is not None
         scene, clock = self._loaded, time.perf_counter
         start = clock()
-        self._update(scene.mi, scene.params, job.values)
+        self._update(scene.mi, scene.params, values)
         scene.params.update()
         updated = clock()
-        radiance = scene.render(job.seed, job.spp, denoised=self.denoise and job.encoded)
+        tensor = scene.render(seed, spp)
         rendered = clock()
-        if job.encoded:
-            to_srgb(np.array(radiance), out)
-        else:
-            out[:] = np.array(radiance)
+        radiance: Image = np.array(tensor)
         self.times["update"] += updated - start
         self.times["render"] += rendered - updated
         self.times["copy"] += clock() - rendered
         self.times["frames"] += 1
+        return radiance
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out what belongs to this process."""
-        state = {**self.__dict__, "_loaded": None, "_pool": None}
-        del state["_lock"]
-        return state
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._lock = threading.Lock()
+        return {**self.__dict__, "_loaded": None}
 
 
 class _Loaded:
@@ -244,15 +179,12 @@ class _Loaded:
         self.integrator = mi.load_dict({**task._integrator(), **blocks})
         self.sensor = self.scene.sensors()[0]
         self.params = mi.traverse(self.scene)
-        self._denoiser = mi.OptixDenoiser([width, height]) if task.denoise else None
 
-    def render(self, seed: int, spp: int, denoised: bool) -> Any:
+    def render(self, seed: int, spp: int) -> Any:
         """Return L, computed, as Mitsuba's tensor (H, W, 3)."""
         import drjit as dr
 
         tensor = self.integrator.render(self.scene, self.sensor, seed=seed, spp=spp)
-        if denoised and self._denoiser is not None:
-            tensor = self._denoiser(tensor)
         dr.eval(tensor)
         dr.sync_thread()
         return tensor

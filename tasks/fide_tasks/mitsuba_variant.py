@@ -1,9 +1,7 @@
 """Which of Mitsuba's variants runs on this machine, and with which LLVM library.
 
-Mitsuba compiles its kernels for a GPU (CUDA) or for the CPU's vector units (LLVM), or runs
-them ray by ray ("scalar"). LLVM is a library of the system: some releases are not found, and some
-abort the whole process at the first kernel (15 does). So a variant is tried in a process of
-its own before this one relies on it.
+Some releases of LLVM abort the whole process at the first kernel (15 does).  So a variant is tried
+in a process of its own before this one relies on it.
 """
 
 from __future__ import annotations
@@ -26,10 +24,7 @@ from typing import Any
 from fide_tasks import isolated
 from fide_tasks.base import one_of
 
-__all__ = [
-    "REMEDIES", "VARIANTS", "choose", "in_variant", "library", "problem_with",
-    "problem_with_denoiser",
-]  # fmt: skip
+__all__ = ["REMEDIES", "VARIANTS", "choose", "in_variant", "library", "problem_with"]
 
 VARIANTS = {"cuda": "cuda_ad_rgb", "llvm": "llvm_ad_rgb", "scalar": "scalar_rgb"}
 """Short names of the variants, in the order of preference, and Mitsuba's names."""
@@ -55,11 +50,6 @@ box = mi.cornell_box()
 box["bead"] = {"type": "sphere", "radius": 0.2, "bsdf": {"type": "dielectric"}}
 box["sensor"]["film"] |= {"width": 4, "height": 4, "rfilter": {"type": "box"}}
 assert numpy.isfinite(numpy.array(mi.render(mi.load_dict(box), spp=1))).all()
-"""
-_CHECK_DENOISER = """
-import sys, mitsuba as mi
-mi.set_variant(sys.argv[1])
-mi.OptixDenoiser([16, 16])
 """
 _INSTALL_LLVM = (
     "install a recent LLVM library (19 is tested; on Debian: apt-get install libllvm19), "
@@ -106,15 +96,6 @@ def problem_with(short: str) -> str | None:
     if short == "scalar":
         return None
     return _problem_with_cuda() if short == "cuda" else _problem_with_llvm()
-
-
-@cache
-def problem_with_denoiser() -> str | None:
-    """What keeps OptiX from denoising here, where "cuda" runs; None if nothing does.
-
-    Without its weights, a file of the driver (nvoptix.bin), it aborts the process.
-    """
-    return isolated.failure(_CHECK_DENOISER, VARIANTS["cuda"], seconds=_CHECK_SECONDS)
 
 
 def library() -> str | None:

@@ -1,8 +1,7 @@
 """An image of a MuJoCo model without a screen: the OpenGL context, what is drawn, and its end.
 
-On Linux the context is one of EGL, which needs neither a display nor a GPU: Mesa's llvmpipe draws
-where there is no driver of a GPU. Elsewhere, or where the environment variable MUJOCO_GL names
-another library than EGL, it is the one that MuJoCo chooses.
+On Linux the context is one of EGL, which needs neither a display nor a GPU.  Elsewhere, or where
+the environment variable MUJOCO_GL names another library, it is the one that MuJoCo chooses.
 """
 
 from __future__ import annotations

@@ -1,11 +1,6 @@
 """Where to begin with a picture of the user's own: parameters that are read off its pixels.
 
-A search that begins at the center of the box spends most of its renders on what can be seen without
-any: where there is something in the picture, and in which color.
-
-Only models whose pixels say so have such a start. No render is spent on it.
-
-Notation: n pixels, positions p [n, 2] as (x, y) in [0, 1], values v [n, 3].
+No render is spent.  Notation: n pixels, positions p [n, 2] as (x, y) in [0, 1], values v [n, 3].
 """
 
 from __future__ import annotations

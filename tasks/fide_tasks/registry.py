@@ -1,8 +1,4 @@
-"""Names of the tasks, and the factory that loads a task only when it is asked for.
-
-A new task is one line in `_TASKS` and its name in `_GROUPS`; its options are the keyword-only
-arguments of its class.
-"""
+"""Names of the tasks, and the factory that loads a task only when it is asked for."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """The model of the robot: our own, a file of the user's, or MuJoCo Menagerie's; and the room.
 
-The room is a floor, a lamp and a sky. A model that brings a floor (a plane of the world) keeps all
-that it brings. One without is put into our room, and its lamps, which were made for another one or
-follow the arm, are left out.
+A model that brings a floor (a plane of the world) keeps all that it brings.  One without is put
+into our room, of a floor, a lamp and a sky, and its own lamps are left out.
 """
 
 from __future__ import annotations

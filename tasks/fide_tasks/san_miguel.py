@@ -19,7 +19,6 @@ from fide_tasks import scene_file, viewpoints
 from fide_tasks.base import Parameter, Vector
 from fide_tasks.courtyard import courtyard
 from fide_tasks.mitsuba_task import MitsubaTask
-from fide_tasks.scene_file import checked_scene
 
 _PLACE = (("x", 7.0, 25.0), ("y", 1.0, 10.0), ("z", -2.0, 12.0))  # m; the paper's bounds
 _THETA = (45.0, 135.0)  # degrees from straight up; the paper gives bounds of positions only
@@ -34,14 +33,9 @@ class SanMiguel(MitsubaTask):
 
     Options, besides those of every Mitsuba task
     --------------------------------------------
-    scene: a file instead of the built-in courtyard: a Mitsuba scene (.xml) or a mesh (.obj, .ply),
-        in meters with Y up, whose inside is about where the paper's bounds are. A Mitsuba scene
-        must have a perspective sensor, of which the field of view is kept (across the shorter
-        side of its film, which is the shorter side of the image), and an emitter. Its first point
-        light is the one that is moved, and all its other emitters stay; if it has no point light,
-        one of 190 W/sr is added. A mesh is gray unless its vertices have colors (PLY: r, g, b),
-        and is lit as the courtyard is. Files that a scene names must lie in its folder. Materials
-        of OBJ files (.mtl) are not read.
+    scene: a mesh (.obj, .ply) instead of the built-in courtyard, in meters with Y up, whose inside
+        is about where the paper's bounds are. It is gray unless its vertices have colors (PLY: r,
+        g, b), and is lit as the courtyard is. Materials of OBJ files (.mtl) are not read.
 
     The 8 parameters are x, y, z of the camera, the angles theta and phi of the direction in which
     it looks, and x, y, z of the light. Positions are in the paper's bounds, x [7, 25], y [1, 10],
@@ -53,8 +47,8 @@ class SanMiguel(MitsubaTask):
     shine a little by themselves, in place of light that bounces between them. Any other max_depth
     is path traced, without that.
 
-    A generated target depends on `seed`, the scene and its field of view. Its camera has room
-    before it, and much of what it sees is lit.
+    A generated target depends on `seed` and the scene. Its camera has room before it, and much of
+    what it sees is lit.
     """
 
     name = "san_miguel"
@@ -77,8 +71,7 @@ class SanMiguel(MitsubaTask):
         **options: Any,
     ) -> None:
         super().__init__(size, seed, **options)
-        self.scene = None if scene is None else checked_scene(scene)
-        self._fov = _FOV
+        self.scene = None if scene is None else scene_file.checked_scene(scene)
 
     def _integrator(self) -> dict[str, Any]:
         if self.max_depth == 2:
@@ -86,15 +79,16 @@ class SanMiguel(MitsubaTask):
         return super()._integrator()
 
     def _scene(self, mi: Any) -> dict[str, Any]:
-        light = {"type": "point", "intensity": {"type": "rgb", "value": _INTENSITY}}
-        parts: dict[str, Any] = {"type": "scene", "light": light}
+        parts: dict[str, Any] = {
+            "type": "scene",
+            "light": {"type": "point", "intensity": {"type": "rgb", "value": _INTENSITY}},
+            "sky": _sky(mi),
+        }
         if self.scene is None:
-            parts |= {"sky": _sky(mi), "court": _court(mi, glows=self.max_depth == 2)}
+            parts["court"] = _court(mi, glows=self.max_depth == 2)
         else:
-            own, fov = scene_file.load(mi, self.scene)
-            parts |= {"sky": _sky(mi), **own} if fov is None else own
-            self._fov = fov or _FOV
-        camera = {"type": "perspective", "fov": self._fov, "fov_axis": "smaller", "near_clip": 0.05}
+            parts["mesh"] = scene_file.load(mi, self.scene)
+        camera = {"type": "perspective", "fov": _FOV, "fov_axis": "smaller", "near_clip": 0.05}
         return {**parts, "sensor": camera}
 
     def _update(self, mi: Any, params: Any, values: Vector) -> None:
@@ -108,7 +102,7 @@ class SanMiguel(MitsubaTask):
         rng = np.random.default_rng((self.seed, self.dim))
         low, width = self._range
         with self.open():
-            v = viewpoints.choose(rng, low, low + width, self._cast, self._fov)
+            v = viewpoints.choose(rng, low, low + width, self._cast, _FOV)
         x: Vector = (v - low) / width
         return x
 
@@ -144,7 +138,7 @@ def _court(mi: Any, glows: bool) -> Any:
     return shape
 
 
-def _flat(values: Vector) -> NDArray[np.float32]:
+def _flat(values: NDArray[Any]) -> NDArray[np.float32]:
     return values.ravel().astype(np.float32)
 
 

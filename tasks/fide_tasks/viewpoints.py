@@ -1,11 +1,7 @@
-"""Choose a camera and a point light that show something of a scene.
+"""Choose a camera and a point light that show something of a scene, by a coarse grid of rays.
 
-Most places in a courtyard show a wall, the sky, or leaves in front of the lens, and most lights are
-hidden from what the camera sees. So a target is drawn at random until a coarse grid of rays says
-that it is worth looking for. Rays have no noise and do not depend on the resolution of the image.
-
-Notation: a view is v = (camera x, y, z, theta, phi, light x, y, z) in meters and degrees; theta is
-the angle between the view and the upward Y axis, phi turns from X (0) to Z (90). Rays [n, 3].
+A view is v = (camera x, y, z, theta, phi, light x, y, z) in meters and degrees; theta is the angle
+between the view and the upward Y axis, phi turns from X (0) to Z (90).  Rays [n, 3].
 """
 
 from __future__ import annotations

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import gc
-import math
-import pickle
-import warnings
 import weakref
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -27,8 +24,8 @@ from PIL import Image
 from fide_adapters.image_loss import ImageRef
 from fide_adapters.nevergrad import NoImagesWarning, ParametrizedFIDE
 from fide_adapters.optuna import FIDESampler
-from fide_plugins import FIDE, Choice, Float, Int, Space, encoders
-from fide_plugins.errors import FeaturesError, ImageError, LossError, ValueRangeError
+from fide_plugins import FIDE, Choice, Float, Int, Space
+from fide_plugins.errors import ImageError
 from fide_plugins.space import Kind
 from fide_plugins.types import Float32
 
@@ -76,7 +73,7 @@ class Adapter(Protocol):
         """A candidate, and its parameters."""
 
     def tell(self, candidate: Any, loss: Any = None, **result: Any) -> None:
-        """With `image` or `features` and `version`."""
+        """With `image`."""
 
     @property
     def images(self) -> int:
@@ -107,10 +104,6 @@ class InOptuna:
     def tell(self, candidate: Any, loss: Any = None, **result: Any) -> None:
         if "image" in result:
             loss = self.sampler.tell_image(candidate, result["image"], loss)
-        elif "features" in result:
-            loss = self.sampler.tell_features(
-                candidate, result["features"], loss, version=result.get("version")
-            )
         self.study.tell(candidate, loss)
 
     @property
@@ -330,51 +323,6 @@ def test_what_is_no_image_changes_nothing(adapter: type[Adapter], what: str, los
     check_refused(adapter, ImageError, message, loss, image=image)
 
 
-TOKENS = encoders.make("dense")(TARGET[None])[0].numpy()
-
-
-@pytest.mark.parametrize(
-    ("features", "message"),
-    [
-        (TOKENS[:, :4], r"\(1, \d+, \d+\), not \(1, \d+, 4\)"),
-        (TOKENS * np.nan, "finite"),
-        (np.zeros(TOKENS.shape, int), "floating point"),
-        ("dense", "features"),
-    ],
-)
-def test_what_are_no_features_changes_nothing(
-    adapter: type[Adapter], features: Any, message: str
-) -> None:
-    check_refused(adapter, FeaturesError, message, 0.5, features=features)
-
-
-def test_features_of_another_version_change_nothing(adapter: type[Adapter]) -> None:
-    own = encoders.make("dense").version
-    check_refused(
-        adapter, FeaturesError, f"'{own}', not 'dense-0'", 0.5, features=TOKENS, version="dense-0"
-    )
-    made = adapter(FLOATS, TARGET)
-    made.tell(made.ask()[0], 0.5, features=TOKENS, version=own)
-    assert made.images == 1
-
-
-def test_features_need_a_loss(adapter: type[Adapter]) -> None:
-    check_refused(adapter, LossError, "loss", None, features=TOKENS)
-
-
-def test_features_are_as_good_as_the_image(adapter: type[Adapter]) -> None:
-    encode = encoders.make("dense")
-    near, far = adapter(FLOATS, TARGET), adapter(FLOATS, TARGET)
-    for _ in range(40):
-        (candidate, params), (other, same) = near.ask(), far.ask()
-        assert params == same
-        image = disk(params)
-        loss = float(np.square(image.astype(np.float64) - TARGET).mean())
-        near.tell(candidate, loss, image=image)
-        tokens = pickle.loads(pickle.dumps(encode(image[None])[0].numpy()))
-        far.tell(other, loss, features=tokens)
-
-
 def test_an_image_is_not_kept(adapter: type[Adapter]) -> None:
     made = adapter(FLOATS, TARGET)
     images: list[weakref.ref[Any]] = []
@@ -399,12 +347,6 @@ def test_other_images_than_one_for_each_view_are_refused(
     rule = rf"2 targets a render is a list of 2 images, one for each view, .*; got {got}$"
     with pytest.raises(ImageError, match=rule):
         made.tell(made.ask()[0], 0.1, image=given)
-
-
-def test_images_on_another_scale_are_refused(adapter: type[Adapter]) -> None:
-    made = adapter(FLOATS, 10 * TARGET, value_range="auto")
-    with pytest.raises(ValueRangeError, match="another scale"):
-        made.tell(made.ask()[0], image=1000 * TARGET + 100)
 
 
 def test_images_beyond_black_and_white_are_clipped_with_one_warning(
@@ -433,18 +375,6 @@ def test_a_target_without_images_is_warned_of_once(adapter: type[Adapter]) -> No
         for _ in range(30):
             made.tell(made.ask()[0], 1.0)
     assert len(caught) == 1
-
-
-def test_failures_without_images_are_no_reason_to_warn(adapter: type[Adapter]) -> None:
-    made = adapter(FLOATS, TARGET)
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", category=ng.errors.BadLossWarning)
-        for _ in range(14):
-            made.tell(made.ask()[0], math.inf)
-    for _ in range(6):
-        candidate, params = made.ask()
-        made.tell(candidate, image=disk(params))
-    assert made.images == 6
 
 
 @pytest.mark.filterwarnings("ignore::fide_adapters.nevergrad.NoImagesWarning")

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
-from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import nevergrad as ng
 import numpy as np
@@ -17,20 +15,13 @@ from optuna.distributions import (
     FloatDistribution,
     IntDistribution,
 )
-from PIL import Image
 
 from fide_adapters.nevergrad import ParametrizedFIDE
 from fide_adapters.optuna import FIDESampler
-from fide_plugins import Choice, Float, Int, Space
-from fide_plugins.cli import main
 from fide_plugins.types import Float32, Float64
 
 Params: TypeAlias = dict[str, Any]
 
-SPACE = Space(
-    x=Float(-1, 1), gray=Float(0.01, 1, log=True), rows=Int(1, 6),
-    shape=Choice("disk", "square", "bar"),
-)  # fmt: skip
 ANSWER: Params = {"x": 0.3, "gray": 0.8, "rows": 3, "shape": "square"}
 GUESS: Params = {"x": 0.28, "gray": 0.77, "rows": 3, "shape": "square"}
 DISTRIBUTIONS: dict[str, BaseDistribution] = {
@@ -42,47 +33,19 @@ DISTRIBUTIONS: dict[str, BaseDistribution] = {
 V, U = np.mgrid[-1:1:12j, -1:1:16j]
 RENDERS = 14
 
-SCENE = """
-import numpy as np
-from fide_plugins import Choice, Float, Int, Space
-
-space = Space(
-    x=Float(-1, 1), gray=Float(0.01, 1, log=True), rows=Int(1, 6),
-    shape=Choice("disk", "square", "bar"),
-)
-v, u = np.mgrid[-1:1:12j, -1:1:16j]
-
-
-def render(p):
-    far = {"disk": np.hypot(u - p["x"], v), "bar": abs(u - p["x"])}.get(
-        p["shape"], np.maximum(abs(u - p["x"]), abs(v))
-    )
-    inside = 1 / (1 + np.exp(20 * (far - 0.5)))
-    return inside * p["gray"] + (1 - inside) * (0.25 + 0.25 * np.cos(np.pi * p["rows"] * v))
-"""
-
 
 def draw(p: Params) -> Float64:
-    """What the scene renders."""
-    names: dict[str, Any] = {}
-    exec(SCENE, names)
-    image: Float64 = names["render"](p)
+    """A gray shape at x over bars."""
+    far = {"disk": np.hypot(U - p["x"], V), "bar": abs(U - p["x"])}.get(
+        p["shape"], np.maximum(abs(U - p["x"]), abs(V))
+    )
+    inside = 1 / (1 + np.exp(20 * (far - 0.5)))
+    bars = 0.25 + 0.25 * np.cos(np.pi * p["rows"] * V)
+    image: Float64 = inside * p["gray"] + (1 - inside) * bars
     return image
 
 
 TARGET: Float32 = draw(ANSWER).astype(np.float32)
-
-
-class Found(NamedTuple):
-    """What became of a guess.
-
-    guess: as it was given.  first: parameters rendered first.  at_guess, best: losses.
-    """
-
-    guess: Params
-    first: Params
-    at_guess: float
-    best: float
 
 
 class Rendered:
@@ -98,9 +61,12 @@ class Rendered:
         self.losses.append(float(np.square(image - TARGET.astype(np.float64)).mean()))
         return image
 
-    def found(self, best: float | None, guess: Params = GUESS) -> Found:
-        assert best is not None
-        return Found(guess, self.params[0], self.losses[0], best)
+    def check(self, best: float | None) -> None:
+        """The contract: the guess is rendered first, as it was given, and `best` is never worse."""
+        for name, value in GUESS.items():
+            expected = pytest.approx(value, rel=1e-12) if isinstance(value, float) else value
+            assert self.params[0][name] == expected, name
+        assert best is not None and best <= self.losses[0] * (1 + 1e-6)
 
 
 # -- ways of giving a start ------------------------------------------------------------------------
@@ -115,13 +81,13 @@ def suggest(trial: Any) -> Params:
     }
 
 
-def enqueued(render: Rendered, seed: int, space: dict[str, BaseDistribution] | None) -> Found:
+def enqueued(render: Rendered, seed: int, space: dict[str, BaseDistribution] | None) -> None:
     sampler = FIDESampler(TARGET, seed=seed, search_space=space)
     study = optuna.create_study(sampler=sampler)
     study.enqueue_trial(GUESS)
     study.optimize(lambda t: sampler.tell_image(t, render(suggest(t))), n_trials=RENDERS)
     assert sampler.counts(study) == {"member": RENDERS, "image": RENDERS}  # the guess is one
-    return render.found(study.best_value)
+    render.check(study.best_value)
 
 
 def parametrized(guess: Params | None) -> Any:
@@ -137,7 +103,7 @@ def parametrized(guess: Params | None) -> Any:
     return made
 
 
-def by_nevergrad(render: Rendered, seed: int, suggested: bool) -> Found:
+def by_nevergrad(render: Rendered, seed: int, suggested: bool) -> None:
     parametrization = parametrized(None if suggested else GUESS)
     optimizer = ParametrizedFIDE(target=TARGET, seed=seed)(parametrization, budget=RENDERS)
     if suggested:
@@ -145,38 +111,15 @@ def by_nevergrad(render: Rendered, seed: int, suggested: bool) -> Found:
     for _ in range(RENDERS):
         candidate = optimizer.ask()
         optimizer.tell(candidate, render(candidate.value))
-    return render.found(optimizer.recommend().loss)
+    render.check(optimizer.recommend().loss)
 
 
-def by_shell(command: list[str], seed: int, capsys: pytest.CaptureFixture[str]) -> Found:
-    """By one render, and by several; `x_best` says which one it was."""
-    Path("scene.py").write_text(SCENE)
-    image = np.rint(255 * TARGET).astype(np.uint8)
-    Image.fromarray(image).save("target.png")
-    totals = []
-    for budget in (1, RENDERS):
-        words = [*command, "--set", f"x0={json.dumps(GUESS)}", "--seed", seed, "--budget", budget]
-        assert main([str(word) for word in [*words, "--out", budget, "--json"]]) == 0
-        totals.append(json.loads(capsys.readouterr().out.splitlines()[-1]))
-    one, all_ = totals
-    return Found(GUESS, SPACE.decode(one["x_best"]), one["best_loss"], all_["best_loss"])
-
-
-FIT = ["fit", "target.png", "--renderer", "scene.py:render", "--workers", "0"]
-WAYS: dict[str, Callable[[Rendered, int], Found]] = {
+WAYS: dict[str, Callable[[Rendered, int], None]] = {
     "optuna": lambda render, seed: enqueued(render, seed, None),
     "optuna, its space": lambda render, seed: enqueued(render, seed, DISTRIBUTIONS),
     "nevergrad, value": lambda render, seed: by_nevergrad(render, seed, suggested=False),
     "nevergrad, suggest": lambda render, seed: by_nevergrad(render, seed, suggested=True),
 }
-
-
-def check(found: Found) -> None:
-    """The contract."""
-    for name, value in found.guess.items():
-        expected = pytest.approx(value, rel=1e-12) if isinstance(value, float) else value
-        assert found.first[name] == expected, name
-    assert found.best <= found.at_guess * (1 + 1e-6)
 
 
 @pytest.fixture(autouse=True)
@@ -187,34 +130,7 @@ def quiet() -> None:
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("way", WAYS)
 def test_a_start_is_rendered_first_and_best_is_never_worse(way: str, seed: int) -> None:
-    check(WAYS[way](Rendered(), seed))
-
-
-@pytest.mark.parametrize("command", [FIT, ["run", "scene.py:render"]], ids=["fit", "run"])
-def test_so_it_is_in_the_shell(
-    command: list[str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    check(by_shell(command, 0, capsys))
-
-
-@pytest.mark.filterwarnings("ignore:the budget of 1 renders")
-@pytest.mark.parametrize("guess", ["--set", "of one optimizer"])
-def test_so_it_is_in_comparisons(
-    guess: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("scene.py").write_text(SCENE)
-    option = f"x0={json.dumps(GUESS)}"
-    named = ["fide", "--set", option] if guess == "--set" else [f"fide:{option},random"]
-    words = ["--budget", "1", "--seeds", "1", "--out", "out"]
-    assert main(["compare", "scene.py:render", "--optimizers", *named, *words]) == 0
-    (run,) = Path("out").glob("cells/*/mse/fide*/seed-0/run.json")
-    x_best = json.loads(run.read_text())["totals"]["x_best"]
-    np.testing.assert_allclose(x_best, SPACE.encode(GUESS), rtol=1e-12)
+    WAYS[way](Rendered(), seed)
 
 
 # -- where the search goes on ----------------------------------------------------------------------

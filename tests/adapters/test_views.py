@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import pickle
-from pathlib import Path
 from typing import Any
 
 import nevergrad as ng
 import numpy as np
-import optuna
-from optuna.artifacts import FileSystemArtifactStore
 
 from fide_adapters.image_loss import is_image
 from fide_adapters.nevergrad import ParametrizedFIDE
@@ -47,41 +44,11 @@ def test_a_single_mask_is_that_of_all_views_of_its_size() -> None:
         optimizer: Any = ParametrizedFIDE(target=targets, mask=mask, seed=0)(box)
         optimizer.ask()
         sampler = FIDESampler(targets, mask=mask, seed=0)
-        images = sampler._images()
+        images = sampler._settings.images
+        assert images is not None
         made.append((optimizer.fide.encoder.version, images.evaluator.encoder.version))
     assert made[0] == made[1]
     assert made[0] != (FIDE(DIM, targets).encoder.version,) * 2
-
-
-def test_images_of_views_come_back_from_an_artifact_store(tmp_path: Path) -> None:
-    store = FileSystemArtifactStore(str(tmp_path))
-    first = FIDESampler(TARGETS, artifact_store=store, **SETTINGS)
-    study = optuna.create_study(sampler=first)
-
-    def objective(trial: optuna.Trial) -> float:
-        x = [trial.suggest_float(f"x{i}", 0, 1) for i in range(DIM)]
-        return first.tell_image(trial, views(x), loss=x[0])
-
-    study.optimize(objective, n_trials=8)
-    trial = study.trials[-1]
-    stored = first._states.of(study).from_artifact(study, trial)
-    assert stored is not None
-    tokens = core().encoder([[image] for image in views(list(trial.params.values()))])[0]
-    np.testing.assert_allclose(stored, tokens, atol=2 / 255)
-
-
-def test_images_in_an_artifact_store_are_scaled_already(tmp_path: Path) -> None:
-    store = FileSystemArtifactStore(str(tmp_path))
-    sampler = FIDESampler(10 * TARGETS[0], value_range=(0, 10), artifact_store=store, seed=0)
-    study = optuna.create_study(sampler=sampler)
-    tell = sampler.tell_image
-    study.optimize(lambda t: tell(t, 10 * views([t.suggest_float("x", 0, 1), 0.4, 1, 1])[0]), 5)
-    images = sampler._images()
-    for trial in study.trials:
-        stored = sampler._states.of(study).from_artifact(study, trial)
-        own = images.tokens(images.read(10 * views([trial.params["x"], 0.4, 1, 1])[0]))
-        assert stored is not None
-        np.testing.assert_allclose(stored, own, atol=0.05)
 
 
 def test_replicas_agree() -> None:

@@ -72,16 +72,3 @@ def test_resuming_names_an_optimizer_that_was_edited(
     assert fide(*words, "--budget", 20, "--resume") == 2
     changed, refused = capsys.readouterr().err.splitlines()
     assert "mine.py has changed" in changed and "asks for other candidates" in refused
-
-
-def test_a_run_without_a_state_is_that_of_the_present_file(
-    scene: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    mine = scene.parent / "mine.py"
-    mine.write_text(SEARCH.replace("return", "raise ArithmeticError # "))
-    words = ("run", "scene.py:render", "--optimizer", "mine.py:Search", "--out", "out")
-    assert fide(*words, "--budget", 20) == 1
-    edit(mine, "raise ArithmeticError # ", "return")
-    capsys.readouterr()
-    assert fide(*words, "--budget", 20, "--resume") == 0
-    assert "has changed" not in capsys.readouterr().err

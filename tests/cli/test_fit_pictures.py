@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 from pathlib import Path
@@ -12,7 +11,6 @@ import pytest
 from PIL import Image
 
 import fide_tasks
-from fide_plugins.errors import OptionError
 
 from .conftest import KEYS, fide, one_line
 
@@ -62,31 +60,6 @@ def test_fit_begins_at_the_picture(capsys: pytest.CaptureFixture[str]) -> None:
     assert options["sigma0"] == 0.1
     assert fide(*words, "--optimizer", "cma", "--start", "picture") == 2
     assert "--start picture is for the optimizer fide; cma" in one_line(capsys)
-
-
-def test_fit_begins_at_the_center_where_it_must() -> None:
-    from fide_lab.cli import fit_model
-    from fide_plugins.cli import fit_command
-
-    parser = argparse.ArgumentParser()
-    fit_command.add_arguments(parser)
-    known = fide_tasks.make("voronoi", 8, cells=2)
-    blank = fide_tasks.make("spline", target=np.ones((8, 8, 3), np.float32))
-    words = ["photo.png", "--model", "voronoi"]
-    assert "x0" in fit_model._start_options(parser.parse_args(words), known)
-    assert not fit_model._start_options(parser.parse_args(words), blank)
-    assert not fit_model._start_options(parser.parse_args([*words, "--start", "center"]), known)
-    assert not fit_model._start_options(parser.parse_args([*words, "--optimizer", "cma"]), known)
-    with pytest.raises(OptionError, match="no start"):
-        fit_model._start_options(parser.parse_args([*words, "--start", "picture"]), blank)
-
-
-def test_transparent_pixels_are_white(capsys: pytest.CaptureFixture[str]) -> None:
-    Image.new("RGBA", (16, 16), (0, 0, 0, 0)).save("clear.png")
-    assert fide("fit", "clear.png", "--model", "voronoi", "--cells", 1, "--optimizer", "cma",
-                "--budget", 300, "--json") == 0  # fmt: skip
-    result = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert result["mse"] < 1e-3 and min(result["x_best"][2:]) > 0.9
 
 
 def test_pictures_that_are_none(capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,11 +8,9 @@ import shlex
 import signal
 import subprocess
 import sys
-import threading
 import urllib.request
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,8 +18,6 @@ import pytest
 from PIL import Image
 
 from fide_plugins import Space, load_run
-from fide_plugins.cli.fit_command import _report
-from fide_plugins.fitting.failures import Failure
 from fide_plugins.renderers import FunctionRenderer
 
 from .conftest import fide, summary
@@ -97,36 +93,6 @@ def test_a_fit_that_had_no_time_names_no_picture(capsys: pytest.CaptureFixture[s
     assert not any("best.png" in line for line in lines) and not Path("out/best.png").exists()
 
 
-@pytest.mark.parametrize(
-    ("evaluations", "failures", "first", "text"),
-    [
-        (3, 0, None, "no render has a finite loss"),
-        (3, 2, Failure({}, "ValueError"), "no render has a finite loss"),
-        (
-            0,
-            2,
-            Failure({}, "ValueError"),
-            "no render gave an image; the first error is printed above",
-        ),
-        (0, 2, None, "no render gave an image"),  # all of them in an earlier call
-        (0, 0, None, "nothing was rendered in that time; give more --time"),
-    ],
-)
-def test_a_fit_without_a_best_candidate_says_why(
-    evaluations: int,
-    failures: int,
-    first: Failure | None,
-    text: str,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    result = SimpleNamespace(
-        best=None, params=None, evaluations=evaluations, failures=failures, first_failure=first,
-        seconds=1.0, stopped="time", clipped=0, rejected=None,
-    )  # fmt: skip
-    _report(result, Path("out"))  # type: ignore[arg-type]
-    assert capsys.readouterr().out.splitlines()[-1] == text
-
-
 @pytest.mark.usefixtures("target")
 def test_a_finished_fit_goes_on_with_a_larger_budget(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["fit", "target.png", "--renderer", "scene.py:render", "--workers", 0, "--json"]
@@ -155,12 +121,6 @@ def test_a_program_is_fitted_without_a_shell(
     assert result["failures"] > 0  # the first one is shown whole
     assert captured.err.count("ended with exit code 1") == captured.err.count("to see it, run") == 1
     assert "it is too dark" in captured.err
-
-
-@pytest.mark.filterwarnings("always:a render failed")
-def test_a_program_in_this_process_has_its_own_time_limit(program: str) -> None:
-    words = ["lines.png", "--command", program, "--space", "space.toml", "--workers", 0]
-    assert fide("fit", *words, "--timeout", 30, "--budget", 3, "--out", "out") == 0
 
 
 @pytest.mark.usefixtures("target")
@@ -216,15 +176,6 @@ def test_ctrl_c_saves_and_resume_goes_on(
     assert summary(capsys)["evaluations"] == done + 5
 
 
-def test_the_json_of_a_model_names_parameters_too(
-    target: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = ["--model", "voronoi", "--cells", 2, "--budget", 20, "--json"]
-    assert fide("fit", target, *words) == 0
-    result = summary(capsys)
-    assert len(result["params"]["cells"]) == 2 and result["status"] == "improving"
-
-
 @pytest.mark.parametrize(
     "what", [["--renderer", "scene.py:render", "--workers", 0], ["--model", "voronoi"]]
 )
@@ -251,23 +202,6 @@ def test_live_shows_the_fit_while_it_goes_on(
         urllib.request.urlopen(page["url"], timeout=20)
 
 
-def test_a_browser_that_blocks_does_not_hold_the_fit(
-    target: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    called, over = threading.Event(), threading.Event()
-
-    def block(url: str) -> None:
-        called.set()
-        over.wait(120)
-
-    monkeypatch.setattr("webbrowser.open", block)
-    words = ["--renderer", "scene.py:render", "--workers", 0, "--budget", 20, "--live", "--json"]
-    assert fide("fit", target, *words) == 0
-    assert summary(capsys)["evaluations"] == 20
-    assert called.wait(60) and not over.is_set()
-    over.set()
-
-
 # -- wrong usage -----------------------------------------------------------------------------------
 
 COMMAND = ["target.png", "--command"]
@@ -277,10 +211,8 @@ RENDERER = ["target.png", "--renderer"]
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["target.png"], "one of the arguments --renderer --command --model is required"),
         ([*RENDERER, "scene.py"], "scene.py is a file, not a function; its functions: render"),
         ([*RENDERER, "scene.py:rendr"], "has no 'rendr'; .*did you mean 'render'"),
-        ([*RENDERER, "bare.py:render"], "parameters of bare.py:render are unknown.*--space"),
         ([*RENDERER, "broken.py:render"], "(?s)cannot be imported.*line 1.*ZeroDivisionError"),
         (["no.png", *RENDERER[1:], "scene.py:render"], "no image file at 'no.png'"),
         (
@@ -293,16 +225,13 @@ RENDERER = ["target.png", "--renderer"]
             [*RENDERER, "scene.py:render", "--preset", "best"],
             "preset.*'best'",
         ),
-        ([*RENDERER, "scene.py:render", "--set", "popsiz=4"], "popsiz"),
         ([*COMMAND, "ls {out} {gray} {rows}"], "--command needs --space FILE.toml"),
         ([*COMMAND, "ls {out} {gray}", "--space", "space.toml"], "'rows' of the space is nowhere"),
         ([*COMMAND, "ls {out} {gry}", "--space", "space.toml"], "{gry} .*did you mean {gray}"),
         ([*COMMAND, "ls {gray} {rows}", "--space", "space.toml"], "has no {out}"),
         ([*COMMAND, "nope {out}", "--space", "space.toml"], "no program 'nope' on the PATH"),
         ([*COMMAND, "ls {out} {gray}", "--space", "."], "--space: '.' is a folder; name the TOML"),
-        ([*COMMAND, "ls {out} {gray}", "--space", "no.toml"], "there is no file 'no.toml'; name a"),
         ([*COMMAND, "ls {out}", "--space", "typo.toml"], "typo.toml: .gray. hihg: unknown key"),
-        ([*COMMAND, "ls {out}", "--space", "empty.toml"], "empty.toml: .gray.*low must be less"),
         (
             [*COMMAND, "a {out}", "--command", "b {out}", "--space", "space.toml"],
             "2 commands",
@@ -318,10 +247,8 @@ RENDERER = ["target.png", "--renderer"]
 def test_wrong_usage_is_said_before_anything_is_written(
     words: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    Path("bare.py").write_text("def render(params): ...")
     Path("broken.py").write_text("1 / 0")
     Path("typo.toml").write_text('[gray]\ntype = "float"\nlow = 0\nhihg = 1\n')
-    Path("empty.toml").write_text('[gray]\ntype = "float"\nlow = 1\nhigh = 1\n')
     more = [] if "--model" in words or len(words) == 1 else ["--workers", 0]
     assert fide("fit", *words, *more) == 2
     err = capsys.readouterr().err
@@ -349,46 +276,6 @@ def test_a_renderer_that_cannot_render_is_found_by_the_first_render(
     assert fide("fit", "target.png", *words) in (1, 2)
     assert re.search(message, " ".join(capsys.readouterr().err.split()))
     assert not Path("runs").exists()
-
-
-@pytest.mark.thorough
-@pytest.mark.usefixtures("target")
-def test_the_time_of_the_first_render_is_counted_from_its_beginning() -> None:
-    """As in the fit: the start of the worker, which imports the renderer, is none of it."""
-    Path("slow.py").write_text("import time\ntime.sleep(1)\nfrom scene import render, space\n")
-    words = ["--renderer", "slow.py:render", "--workers", 1, "--timeout", 1, "--budget", 4]
-    assert fide("fit", "target.png", *words) == 0
-
-
-def test_a_program_that_writes_another_size_is_refused(
-    program: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = ["--command", program, "--space", "space.toml", "--workers", 1]
-    assert fide("fit", "target.png", *words) == 2
-    assert "16 x 12 pixels, and the renderer's image has 8 x 6" in capsys.readouterr().err
-
-
-def test_the_picture_of_a_fit_is_that_of_its_parameters(
-    target: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = ["--renderer", "scene.py:render", "--workers", 0, "--budget", 30, "--out", "out"]
-    assert fide("fit", target, *words, "--json") == 0
-    image = FunctionRenderer("scene.py:render")(summary(capsys)["params"])
-    with Image.open("out/best.png") as stored:
-        np.testing.assert_array_equal(np.asarray(stored)[..., 0], np.rint(image * 255))
-
-
-def test_a_renderer_that_changes_the_folder_leaves_paths_as_they_are(
-    target: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    lines = "import os\nfrom scene import render as draw, space\n"
-    moves = "def render(p):\n    os.chdir('/')\n    return draw(p)\n"
-    Path("moves.py").write_text(f"{lines}os.chdir('/')\n{moves}")
-    words = ["--renderer", "moves.py:render", "--mask", "target.png", "--workers", 0]
-    Image.open("target.png").convert("L").save("target.png")
-    assert fide("fit", "target.png", *words, "--budget", 12, "--out", "its run") == 0
-    assert (target.parent / "its run" / "best.png").exists()
-    assert "or: fide solutions 'its run'" in capsys.readouterr().out
 
 
 RING = """
@@ -439,16 +326,6 @@ def test_a_space_with_invalid_parameters_is_fitted(
     told = summary(capsys)
     assert told["params"]["inner"] < 0.6 * told["params"]["outer"]
     assert told["failures"] == 0 or not constraint
-
-
-@pytest.mark.thorough
-@pytest.mark.usefixtures("ring")
-def test_constraints_hold_for_programs(capsys: pytest.CaptureFixture[str]) -> None:
-    Path("ring.toml").write_text(RING + '\n[constraints]\nwall = "inner < 0.6 * outer"')
-    program = shlex.join([sys.executable, "ring.py"]) + " {out} {inner} {outer}"
-    words = ["--command", program, "--space", "ring.toml", "--workers", 2, "--budget", 6]
-    assert fide("fit", "ring.png", *words, "--json", "--seed", 0) == 0
-    assert summary(capsys)["failures"] == 0
 
 
 @pytest.mark.parametrize(

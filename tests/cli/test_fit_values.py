@@ -10,8 +10,8 @@ from PIL import Image
 
 from fide_plugins import FIDE
 from fide_plugins.cli.fit_inputs import pictures, value_range_of
-from fide_plugins.errors import ImageError, OptionError
-from fide_plugins.validation.images import load, save
+from fide_plugins.errors import OptionError
+from fide_plugins.validation.images import save
 
 from .conftest import fide
 
@@ -87,35 +87,6 @@ def test_what_is_hidden_does_not_leak_into_a_smaller_picture(scene: Any) -> None
             assert hidden[:2, :2].all() and hidden.sum() == 4
 
 
-@pytest.mark.parametrize("kind", ["L", "RGB", "RGBA", "I;16"])
-def test_every_kind_of_file_is_reduced_with_its_mask(kind: str) -> None:
-    values = np.array([[0, 255, 128, 128]] * 2, np.uint8)
-    if kind == "I;16":
-        Image.fromarray(values.astype(np.uint16) * 257).save("t.png")
-    elif kind == "RGBA":
-        alpha = np.array([[255, 0, 255, 255]] * 2, np.uint8)
-        Image.fromarray(np.stack([values] * 3 + [alpha], axis=-1)).save("t.png")
-    else:
-        Image.fromarray(values).convert(kind).save("t.png")
-    mask = np.array([[255, 0, 255, 255]] * 2, np.uint8)
-    Image.fromarray(mask).save("m.png")
-    for given in ("m.png", mask, mask > 0, Image.fromarray(mask)):
-        made = load("t.png", max_side=2, mask=given)
-        assert made.shape == (1, 2, 3)
-        np.testing.assert_allclose(made[0], [[0.0] * 3, [128 / 255] * 3], atol=1e-6)
-    none = load("t.png", max_side=2, mask=np.array([[0.0, 0, 1, 1]] * 2))
-    np.testing.assert_allclose(none[0, 1], 128 / 255, atol=1e-6)
-    with pytest.raises(ImageError, match="mask must have the target's size"):
-        load("t.png", max_side=2, mask=mask[:, :3])
-
-
-def test_a_mask_of_the_smaller_size_is_taken_as_it_is() -> None:
-    Image.fromarray(np.full((8, 8), 100, np.uint8)).save("t.png")
-    Image.fromarray(np.array([[0, 255], [255, 255]], np.uint8)).save("m.png")
-    read = pictures(["t.png"], 2, ["m.png"], None)
-    assert read.targets[0].shape[:2] == read.mask.shape[:2] == (2, 2)
-
-
 @pytest.mark.parametrize("given", [["-3", "7"], ["auto"]])
 def test_a_range_of_values(
     given: list[str], scene: Any, capsys: pytest.CaptureFixture[str]
@@ -138,33 +109,9 @@ def test_renders_on_another_scale(scene: Any, capsys: pytest.CaptureFixture[str]
     assert "another scale than the target" in capsys.readouterr().err
 
 
-def test_a_command_writes_floats(scene: Any, capsys: pytest.CaptureFixture[str]) -> None:
-    save("t.tif", scene["field"]({"x": 0.5, "y": 0.5}))
-    Path("draw.py").write_text(
-        "import sys, scene\nfrom PIL import Image\n"
-        "p = dict(x=float(sys.argv[2]), y=float(sys.argv[3]))\n"
-        "Image.fromarray(scene.field(p)).save(sys.argv[1])\n"
-    )
-    Path("space.toml").write_text(
-        "".join(f'[{name}]\ntype = "float"\nlow = 0\nhigh = 1\n' for name in "xy")
-    )
-    import sys
-
-    command = f"{sys.executable} draw.py {{out:.tif}} {{x}} {{y}}"
-    words = ["--command", command, "--space", "space.toml", "--value-range", "auto"]
-    assert fide("fit", "t.tif", *words, "--workers", 0, "--budget", 2, "--json") == 0
-    assert summary(capsys)["failures"] == 0
-
-
 def test_what_the_shell_says_is_a_range() -> None:
     assert value_range_of(None) is None and value_range_of(["auto"]) == "auto"
     assert value_range_of(["-1,1"]) == value_range_of(["-1", "1"]) == (-1.0, 1.0)
     for words in (["1"], ["low", "high"], ["0", "1", "t.tif"]):
         with pytest.raises(OptionError, match="--value-range is two numbers"):
             value_range_of(words)
-
-
-def test_it_has_no_meaning_with_a_model(capsys: pytest.CaptureFixture[str]) -> None:
-    Image.new("L", (8, 8), 9).save("t.png")
-    assert fide("fit", "t.png", "--model", "voronoi", "--value-range", 0, 2) == 2
-    assert "--value-range has no meaning with --model" in capsys.readouterr().err

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,8 +13,8 @@ from PIL import Image
 
 from fide_plugins import FIDE, solutions as stored
 from fide_plugins.cli.fit_command import _keep_pictures
-from fide_plugins.cli.fit_inputs import check_first, pictures
-from fide_plugins.errors import ImageError, ImageNotFoundError, OptionError
+from fide_plugins.cli.fit_inputs import Renders
+from fide_plugins.errors import ImageError
 from fide_plugins.fitting.rendering import Outcome, Rendered
 from fide_plugins.renderers import FunctionRenderer
 from fide_plugins.types import Float64
@@ -28,31 +29,15 @@ def test_views_need_one_image_each() -> None:
     both = [target, target]
     optimizer = FIDE(2, both)
     with pytest.raises(ImageError, match="must return a list of 2 images, one for each view"):
-        check_first(lambda x: target, optimizer, both, ["a", "b"], 0, None)
+        Renders(lambda x: target, 0, None).check_first(optimizer, both, ["a", "b"])
     with pytest.raises(ImageError, match="a list of 2 images, .* not 3 images"):
-        check_first(lambda x: [*both, target], optimizer, both, ["a", "b"], 0, None)
+        Renders(lambda x: [*both, target], 0, None).check_first(optimizer, both, ["a", "b"])
     with pytest.raises(ImageError, match="render returned None for view 1; let it return"):
-        check_first(lambda x: [target, None], optimizer, both, ["a", "b"], 0, None)
-    check_first(lambda x: both, optimizer, both, ["a", "b"], 0, None)
-    check_first(lambda x: tuple(both), optimizer, both, ["a", "b"], 0, None)
+        Renders(lambda x: [target, None], 0, None).check_first(optimizer, both, ["a", "b"])
+    Renders(lambda x: both, 0, None).check_first(optimizer, both, ["a", "b"])
+    Renders(lambda x: tuple(both), 0, None).check_first(optimizer, both, ["a", "b"])
     with pytest.raises(ImageError, match="b has 8 x 8 pixels, and .* image has 8 x 4"):
-        check_first(lambda x: [target, target[:4]], optimizer, both, ["a", "b"], 0, None)
-
-
-def test_one_target_needs_one_image() -> None:
-    target = np.zeros((8, 8, 3), np.float32)
-    optimizer = FIDE(2, target)
-
-    def check(image: object) -> None:
-        check_first(lambda x: image, optimizer, [target], ["a"], 0, None)
-
-    gray = target[..., 0]
-    for images in ([target, target[:4]], (target, target), [gray, gray]):
-        with pytest.raises(ImageError, match="one image, not a list of 2; .* a target for each"):
-            check(images)
-    with pytest.raises(ImageError, match=r"not a list of 1; take it out of its list, image\[0\]"):
-        check([target])
-    check(list(target))  # of its rows
+        Renders(lambda x: [target, target[:4]], 0, None).check_first(optimizer, both, ["a", "b"])
 
 
 @pytest.mark.parametrize("views", [1, 2])
@@ -65,7 +50,7 @@ def test_the_first_render_obeys_the_rule_of_tell(views: int) -> None:
     def check(*values: float) -> None:
         images = [np.full((8, 8, 3), value) for value in values]
         given = images if views > 1 else images[0]
-        check_first(lambda x: given, optimizer, pictures, names, 0, None)
+        Renders(lambda x: given, 0, None).check_first(optimizer, pictures, names)
 
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -98,22 +83,6 @@ def test_what_a_mask_hides_does_not_count(capsys: pytest.CaptureFixture[str]) ->
     assert losses[0] == losses[1] > 0
 
 
-@pytest.mark.parametrize("option", ["--mask", "--weights"])
-@pytest.mark.usefixtures("hidden")
-def test_what_is_transparent_in_a_mask_does_not_count(
-    option: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with Image.open("mask.png") as mask:
-        white = Image.new("L", mask.size, 255)
-        Image.merge("LA", (white, mask)).save("clear.png")
-    words = ["--renderer", "scene.py:render", "--workers", 0, "--json", "--budget", 20]
-    losses = []
-    for given in ("mask.png", "clear.png"):
-        assert fide("fit", "target.png", *words, option, given) == 0
-        losses.append(summary(capsys)["best_loss"])
-    assert losses[0] == losses[1] > 0
-
-
 @pytest.mark.usefixtures("hidden")
 def test_the_alpha_of_the_target_and_weights_are_masks_too(
     capsys: pytest.CaptureFixture[str],
@@ -135,21 +104,6 @@ def test_the_alpha_of_the_target_and_weights_are_masks_too(
     assert fide("fit", "target.png", *words, "--mask", "alpha") == 2
     line = last_line(capsys)
     assert "target.png must have an alpha channel" in line and "give a picture, --mask FILE" in line
-
-
-def test_only_the_alpha_that_is_missing_gets_its_remedy(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Image.new("RGBA", (8, 8)).save("a.png")
-    Image.new("RGB", (8, 8)).save("b.png")
-    for given in (["alpha", "missing.png"], ["missing.png", "alpha"]):
-        with pytest.raises(ImageNotFoundError, match="no image file at 'missing.png'$"):
-            pictures(["a.png", "a.png"], None, given, None)
-    with pytest.raises(ImageNotFoundError, match="no image file at 'c.png'$"):
-        pictures(["c.png"], None, ["alpha"], None)
-    with pytest.raises(ImageError, match="alpha channel.*; or give a picture, --mask FILE$"):
-        pictures(["a.png", "b.png"], None, ["alpha"], None)
 
 
 @pytest.fixture
@@ -193,7 +147,8 @@ def test_a_tuple_of_overexposed_views_is_fitted_and_its_solutions_are_kept(
         params = {"x": 0.0, "gray": 0.5, "rows": 2, "shape": "disk"}
         return [Rendered(render(params), 0.0), Rendered(None, 0.0)]
 
-    _keep_pictures(again, result, Path("out"))
+    renders: Any = again
+    _keep_pictures(renders, result, Path("out"))
     ((x, image),) = stored.read_images(Path("out"))
     np.testing.assert_array_equal(x, points[1])
     assert image.shape == (12, 24, 3) and image.max() == 1.0
@@ -209,21 +164,3 @@ def test_targets_and_masks_must_fit_the_views(capsys: pytest.CaptureFixture[str]
     masks = ["--mask", "mask.png"] * 3
     assert fide("fit", "target.png", "target.png", *words, *masks) == 2
     assert "3 of --mask for 2 targets; give --mask once for each" in last_line(capsys)
-
-
-@pytest.mark.usefixtures("hidden")
-def test_one_file_is_the_mask_of_all_targets_of_its_size() -> None:
-    paths = ["target.png", "spoiled.png"]
-    for side in (None, 8):
-        one, each = (pictures(paths, side, ["mask.png"] * n, None).mask for n in (1, 2))
-        np.testing.assert_array_equal(one, each)
-
-
-def test_one_mask_for_targets_of_different_sizes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    for name, side in (("a.png", 8), ("b.png", 9), ("mask.png", 8)):
-        Image.new("L", (side, side), 200).save(name)
-    with pytest.raises(OptionError, match="1 of --mask for 2 targets of different sizes; give"):
-        pictures(["a.png", "b.png"], None, ["mask.png"], None)

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import json
-import logging
 from pathlib import Path
 
 import pytest
 
 from fide_plugins.cli import doctor_command, main
-from fide_plugins.cli.terminal import notices
 from fide_tasks import mitsuba_variant
 
 pytest.importorskip("mitsuba", reason="Mitsuba is not installed: pip install mitsuba")
@@ -18,9 +16,9 @@ WORDS = ["run", "beads", "--optimizer", "cma", "--size", "16", "--budget", "8", 
 WORDS += ["--task-set", "reference_spp=16"]
 
 
-def test_spp_and_workers_have_flags(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_spp_has_a_flag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = str(tmp_path / "a")
-    assert main([*WORDS, "--spp", "2", "--workers", "2", "--out", out]) == 0
+    assert main([*WORDS, "--spp", "2", "--out", out]) == 0
     printed = capsys.readouterr()
     assert "beads: each bead adds noise" in printed.err
     assert "--loss perceptual and --spp 16" in printed.err
@@ -29,28 +27,6 @@ def test_spp_and_workers_have_flags(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert run["settings"]["task_options"] == {"reference_spp": 16, "spp": 2}
     assert run["totals"]["mse"] == run["totals"]["reference_loss"] != first["best_loss"]
     assert (tmp_path / "a" / "reference.png").exists()
-    assert main([*WORDS, "--spp", "2", "--out", str(tmp_path / "b")]) == 0
-    second = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert second["x_best"] == first["x_best"]
-    assert second["mse"] == first["mse"]
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--spp", "0"], "--spp: a whole number >= 1"),
-        (["--task-set", "variant=opencl"], "variant must be one of 'auto', 'cuda'"),
-        (["--task-set", "denoise=true", "--task-set", "variant=scalar"], "denoise=True needs"),
-    ],
-)
-def test_wrong_fidelity_is_one_line(
-    words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main([*WORDS, *words, "--out", str(tmp_path / "a")]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert message in captured.err
-    assert len(captured.err.splitlines()) == 1
 
 
 def test_doctor_says_which_variants_run(
@@ -69,11 +45,3 @@ def test_doctor_says_which_variants_run(
     lines = capsys.readouterr().out.splitlines()
     assert any(line.split()[:2] == ["scalar_rgb", "ok"] for line in lines)
     assert any(line.split() == ["beads", "ok"] for line in lines)
-
-
-def test_what_a_task_has_to_say_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
-    log = logging.getLogger("fide_tasks.anything")
-    with notices("fide_tasks"):
-        log.info("it renders\nwith %s", "care")
-    log.info("and nobody hears")
-    assert capsys.readouterr().err == "it renders with care\n"

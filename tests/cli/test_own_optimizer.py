@@ -62,40 +62,6 @@ def test_errors_come_before_any_render(
     assert error.count("\n") == 1 and not Path("out").exists()
 
 
-@pytest.mark.parametrize("command", ["run", "compare"])
-@pytest.mark.parametrize("error", ["ValueError", "RuntimeError", "OSError"])
-def test_an_error_of_the_constructor_has_its_place(
-    command: str, error: str, mine: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (mine / "raises.py").write_text(
-        "from search import Elitist\n\n\nclass Raises(Elitist):\n"
-        f"    def __init__(self, dim):\n        raise {error}('of mine')\n"
-    )
-    flag = "--optimizer" if command == "run" else "--optimizers"
-    assert fide(command, "voronoi", *SMALL, flag, "raises.py:Raises", "--out", "out") == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    for words in (
-        "raises.py:Raises cannot be made; mend",
-        'raises.py", line 6',
-        f"{error}: of min",
-    ):
-        assert words in line
-
-
-@pytest.mark.parametrize("method", ["ask", "tell", "recommend"])
-def test_an_oserror_of_the_optimizer_has_its_traceback(
-    method: str, mine: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (mine / "opens.py").write_text(
-        "from search import Elitist\n\n\nclass Opens(Elitist):\n"
-        f"    def {method}(self, *args): open('nowhere')\n"
-    )
-    assert fide("run", "voronoi", *SMALL, "--optimizer", "opens.py:Opens", "--out", "out") == 1
-    err = capsys.readouterr().err
-    assert 'opens.py", line 5' in err and "FileNotFoundError" in err
-    assert "fide run: the run failed; its results so far are in out" in err
-
-
 @pytest.mark.parametrize("method", ["__init__", "ask", "tell"])
 def test_sys_exit_is_a_failed_run(
     method: str, mine: Path, capsys: pytest.CaptureFixture[str]
@@ -143,24 +109,3 @@ def test_one_that_takes_images_cannot_be_resumed_and_says_so(
     assert json.loads(Path("whole/run.json").read_text())["state"] == "finished"
     assert fide(*words[:-1], "again", "--optimizer", "mine.py:Mine") == 0
     assert "takes images" not in capsys.readouterr().err
-
-
-def test_a_class_that_takes_any_option_gets_them_all(
-    mine: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (mine / "a=1").mkdir()
-    (mine / "a=1" / "search.py").write_text(EXAMPLE.read_text())
-    (mine / "a=1" / "any.py").write_text(
-        "from search import Elitist\n\n\nclass Any(Elitist):\n"
-        "    def __init__(self, dim, seed=None, **options):\n"
-        "        assert options == {'step': 0.1, 'label': 'x:y'}, options\n"
-        "        super().__init__(dim, seed)\n"
-    )
-    words = ["run", "voronoi", *SMALL, "--optimizer", "a=1/any.py:Any"]
-    given = ["--set", "step=0.1", "--set", "label=x:y"]
-    assert fide(*words, *given, "--out", "out") == 0
-    assert fide(*words, *given, "--out", "out", "--resume") == 0
-    words[-2:] = ["--optimizers", "a=1/any.py:Any:step=0.1:label=x:y", "--seeds", "1"]
-    assert fide("compare", *words[1:], "--out", "both") == 0
-    assert fide("run", "voronoi", *SMALL, "--optimizer", "mine.py:Mine", *given) == 2
-    assert "has no option 'label'; its options: budget, loss, seed, step" in capsys.readouterr().err

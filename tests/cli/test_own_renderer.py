@@ -43,21 +43,6 @@ def test_no_optimizer_with_the_same_seed_draws_the_hidden_parameters(name: str) 
         assert not np.isclose(found, x_star).all(axis=1).any()
 
 
-def test_a_renderer_may_change_what_it_gets(tmp_path: Path) -> None:
-    scene = tmp_path / "changes.py"
-    scene.write_text(
-        "import numpy as np\nspace = 2\n"
-        "def render(x):\n    x *= 100\n    return np.full((4, 4, 3), x[0] / 100)\n"
-    )
-    task = make(f"{scene}:render", 0, {})
-    assert task.x_star is not None
-    x_star, X = task.x_star.copy(), np.full((3, 2), 0.5)
-    assert task.target.shape == (4, 4, 3)
-    task.render(X)
-    np.testing.assert_array_equal(task.x_star, x_star)
-    np.testing.assert_array_equal(X, 0.5)
-
-
 @pytest.mark.usefixtures("scene")
 def test_run_searches_the_space_and_records_it(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--budget", 24, "--task-seed", 3, "--out", "out", "--json"]
@@ -77,23 +62,6 @@ def test_run_searches_the_space_and_records_it(capsys: pytest.CaptureFixture[str
 
 
 @pytest.mark.usefixtures("scene")
-def test_a_function_of_x_and_other_optimizers() -> None:
-    assert fide("run", "scene.py:render_x", "--optimizer", "cma", "--budget", 12) == 0
-    assert Path("runs/scene.py_render_x-cma-mse-seed0/summary.png").is_file()
-    assert fide("run", "scene.py:render", "--optimizer", "cma", "--budget", 12) == 0
-
-
-@pytest.mark.usefixtures("scene")
-def test_a_space_from_a_file_replaces_that_of_the_function() -> None:
-    space = Space(x=Float(0, 1), gray=Float(0, 1), rows=Int(1, 2), shape=Choice("disk"))
-    space.write("space.toml")
-    words = ["--optimizer", "cma", "--budget", 8, "--space", "space.toml", "--out", "out"]
-    assert fide("run", "scene.py:render", *words) == 0
-    settings = json.loads(Path("out/run.json").read_text())["settings"]
-    assert Space.from_dict(settings["space"]) == space and settings["dim"] == 3
-
-
-@pytest.mark.usefixtures("scene")
 def test_compare_takes_a_renderer_as_a_task(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["scene.py:render", "voronoi", "--optimizers", "cma,random", "--seeds", 1]
     words += ["--budget", 16, "--size", 16, "--out", "out"]
@@ -101,14 +69,6 @@ def test_compare_takes_a_renderer_as_a_task(capsys: pytest.CaptureFixture[str]) 
     assert len(list(Path("out/cells").glob("scene.py+render/mse/*/seed-0/run.json"))) == 2
     assert "scene.py:render" in Path("out/report.md").read_text()
     assert "scene.py:render mse cma seed 0" in capsys.readouterr().err
-
-
-@pytest.mark.usefixtures("scene")
-def test_the_size_of_one_s_own_renderer_is_its_own(capsys: pytest.CaptureFixture[str]) -> None:
-    for words in (["run", "scene.py:render"], ["compare", "scene.py:render", "--seeds", 1]):
-        assert fide(*words, "--budget", 8, "--size", 16, "--out", "out") == 2
-        assert "--size is for built-in tasks" in one_line(capsys)
-        assert not Path("out").exists()
 
 
 def test_a_picture_of_another_size_is_refused_before_anything_is_written(
@@ -120,19 +80,6 @@ def test_a_picture_of_another_size_is_refused_before_anything_is_written(
         message = "the picture has 9 x 7 pixels, and scene.py:render renders 16 x 12: give"
         assert message in one_line(capsys)
         assert not Path("out").exists()
-
-
-@pytest.mark.parametrize("middle", ["np.ones((12, 16)) * 1.5", "1 / 0"])
-def test_a_render_of_the_middle_that_overshoots_or_fails_stops_no_run(
-    middle: str, target: Path
-) -> None:
-    """It is made to compare sizes, and no candidate."""
-    source = (
-        f"def half(params):\n    if params['x'] == 0: return {middle}\n    return render(params)\n"
-    )
-    Path("scene.py").write_text(Path("scene.py").read_text() + "\nimport numpy as np\n" + source)
-    words = ["scene.py:half", "--target", target.name, "--optimizer", "random", "--budget", 3]
-    assert fide("run", *words, "--out", "out") == 0
 
 
 def test_arguments_of_the_fit_are_no_options(
@@ -178,19 +125,6 @@ def test_run_takes_a_program(capsys: pytest.CaptureFixture[str]) -> None:
     (record,) = Path("runs").glob("*/run.json")
     options = json.loads(record.read_text())["settings"]["task_options"]
     assert options == {"space": "space.toml", "command": COMMAND, "timeout": 120.0}
-
-
-@pytest.mark.thorough
-@pytest.mark.usefixtures("program")
-def test_compare_takes_a_program_and_a_picture(target: Path) -> None:
-    words = ["--command", COMMAND, "--space", "space.toml", "--target", target.name]
-    words += ["--optimizers", "cma,random", "--seeds", "1", "--budget", "8", "--out", "out"]
-    assert fide("compare", *words) == 0
-    runs = list(Path("out/cells").glob("*/mse/*/seed-0/run.json"))
-    assert len(runs) == 2
-    (kept,) = Path("out/targets").glob("*.png")
-    here, there = (np.asarray(Image.open(path).convert("RGB")) for path in (kept, target))
-    np.testing.assert_array_equal(here, there)
 
 
 @pytest.mark.parametrize(

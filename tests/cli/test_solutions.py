@@ -19,11 +19,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fide_plugins import FIDE, Solution, fit, images, solutions as pictures
+from fide_plugins import FIDE, Solution, fit, images
 from fide_plugins.cli import main
 from fide_plugins.encoders.own import referenced
 from fide_plugins.errors import CheckpointError
-from fide_plugins.fitting.pictures import side_by_side
 from fide_plugins.renderers import FunctionRenderer
 from fide_plugins.solutions import figure, read
 
@@ -80,17 +79,6 @@ def test_all_solutions_are_shown_with_their_own_images(
         assert one["std"] == known
 
 
-def test_hypotheses_near_no_solution_are_told(
-    run: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    line = "50% of the model's hypotheses are near none of these: probabilities are relative"
-    for share in (0.004, 0.5):
-        monkeypatch.setattr(FIDE, "elsewhere", lambda self, solutions, share=share: share)
-        capsys.readouterr()
-        assert fide("solutions", run) == 0
-        assert (line in capsys.readouterr().out.splitlines()) == (share == 0.5)
-
-
 def test_a_fit_of_python_shows_the_best_image_and_says_what_is_not_stored(run: Path) -> None:
     (run / "solutions.ckpt").unlink()
     found = read(run)
@@ -133,17 +121,6 @@ def test_nothing_in_the_directory_is_executed(run: Path) -> None:
     (run / "solutions.ckpt").unlink()
     assert len(read(run).solutions) == 2
     assert not Path("executed").exists()
-
-
-def test_images_belong_to_their_points(tmp_path: Path) -> None:
-    points = [np.array([0.25, 0.5]), np.array([0.5, 0.25])]
-    stored = [np.full((2, 3, 3), gray, np.float32) for gray in (0.25, 0.75)]
-    pictures.write_images(tmp_path, points, stored)
-    known = pictures.read_images(tmp_path)
-    np.testing.assert_array_equal(pictures.image_of(known, points[1]), stored[1])
-    assert pictures.image_of(known, np.array([0.5, 0.5])) is None
-    wide = side_by_side([np.ones((2, 3, 3), np.float32), np.ones((1, 2, 3), np.float32)])
-    assert wide.shape == (2, 5, 3) and wide[1, 3:].max() == 0 and wide[0].min() == 1
 
 
 ENCODERS = """
@@ -238,20 +215,6 @@ def test_json_is_one_object(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.usefixtures("scene")
-def test_a_function_of_numbers(capsys: pytest.CaptureFixture[str]) -> None:
-    assert fide("check", "scene.py:render_x", "--workers", 1, "--json") == 0
-    numbers = json.loads(capsys.readouterr().out)
-    assert [one["name"] for one in numbers["parameters"]] == ["x[0]", "x[1]"]
-    assert numbers["center"] is None
-
-
-@pytest.mark.usefixtures("scene")
-def test_a_built_in_task(capsys: pytest.CaptureFixture[str]) -> None:
-    assert fide("check", "ball", "--workers", 1, "--json") == 0
-    assert json.loads(capsys.readouterr().out)["renderer"] == "ball"
-
-
-@pytest.mark.usefixtures("scene")
 def test_a_program_whose_failures_are_shown(capsys: pytest.CaptureFixture[str]) -> None:
     Path("program.py").write_text(PROGRAM)
     Path("space.toml").write_text('[gray]\ntype = "float"\nlow = 0.0\nhigh = 1.0\n')
@@ -325,16 +288,3 @@ def test_wrong_usage_of_watch(
 
     assert main(["watch", *words, "--no-browser"]) == 2
     assert re.search(message, capsys.readouterr().err)
-
-
-def test_of_a_comparison_it_names_a_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    words = ["compare", "voronoi", "--optimizers", "random", "--seeds", "1", "--budget", "10"]
-    assert main([*words, "--size", "8", "--task-set", "cells=2", "--out", "both"]) == 0
-    capsys.readouterr()
-    assert main(["watch", "both", "--no-browser"]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    run = str(Path("both/cells/voronoi/mse/random/seed-0"))
-    assert f"such as {run};" in line and "fide report both" in line and "cannot serve" not in line

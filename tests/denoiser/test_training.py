@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 from torch import Tensor, nn
 
-from fide_plugins.denoiser import Network
 from fide_plugins.denoiser.network import Context
 from fide_plugins.denoiser.sampling import whitened, x_prediction
 from fide_plugins.denoiser.training import WhitenedLoss, XLoss, adam_state, fit, load_adam_state
@@ -20,13 +18,6 @@ STD = torch.tensor([0.3, 0.1, 0.7])
 
 def gaussian(n: int) -> Tensor:
     return 0.5 + STD * torch.randn(n, 3, generator=torch.Generator().manual_seed(0))
-
-
-def test_published_loss_of_the_identity_is_the_noise() -> None:
-    """E[(t std eps)^2] = std^2 / 3 for t ~ U(0, 1)."""
-    g = torch.Generator().manual_seed(1)
-    loss = XLoss()(lambda z, s: z, gaussian(200_000), STD, g)
-    assert float(loss) == pytest.approx(float(STD.square().mean()) / 3, rel=0.02)
 
 
 def test_published_loss_tells_the_noise_of_each_parameter() -> None:
@@ -95,13 +86,6 @@ def test_every_pair_is_seen_once_an_epoch_in_a_new_order() -> None:
     assert losses.shape == (3,)
 
 
-def test_reads_the_answer_from_the_image() -> None:
-    """Here the image shows x itself: the best line ignores z."""
-    line, losses = train(epochs=150, batch_size=25)
-    np.testing.assert_allclose(line.weights.detach(), [0, 1], atol=0.05)
-    assert float(losses[-1]) < 0.01 * float(losses[0])
-
-
 def test_loss_of_an_epoch_is_the_mean_over_its_pairs() -> None:
     """With steps too small to matter, and no image yet: E[x_hat - x]^2 with x_hat = 1/2."""
     _, losses = train(epochs=1, batch_size=20, lr=1e-12)
@@ -143,9 +127,3 @@ def test_adam_continues_bit_for_bit() -> None:
         step(optimizer, first)
         step(copy, second)
     assert torch.equal(first, second)
-
-
-def test_a_network_is_only_a_callable() -> None:
-    network: Network = torch.add
-    z = torch.ones(2, 3)
-    torch.testing.assert_close(x_prediction(network)(z, torch.zeros(2, 3)), z)

@@ -9,11 +9,10 @@ import numpy as np
 import torch
 
 from fide_plugins import encoders
-from fide_plugins.distributed.replica import Replica, Role
+from fide_plugins.distributed.replica import Replica
 from fide_plugins.fide import FIDE
 from fide_plugins.population.candidate import columns
 from fide_plugins.proposers.linear import LinearProposer
-from fide_plugins.search.cma_es import CMAES
 from fide_plugins.types import Float32, Float64
 
 DIM, SIZE = 6, 8
@@ -58,7 +57,8 @@ def test_some_are_proposals_that_know_the_results_so_far() -> None:
     assert 25 <= sum(candidate.proposed for candidate in candidates) <= 55
     state = replica.optimizer.state
     assert state.proposer is not None
-    proposer = state.proposer.preview(*columns(state.samples), state.search.std)
+    proposer = copy.copy(state.proposer)
+    proposer.update(*columns(state.samples), state.search.std)
     assert isinstance(proposer, LinearProposer)
     _, losses = replica.optimizer.state.population.members()
     assert sorted(proposer.state_dict()["losses"][-6:]) == sorted(losses)
@@ -76,45 +76,8 @@ def test_asking_for_them_changes_nothing() -> None:
         np.testing.assert_array_equal(asked.candidate(slot).x, idle.candidate(slot).x)
 
 
-def test_they_count_as_late_ones_at_once_or_later() -> None:
-    replica = replica_in_the_midst(6)
-    first, second, third = (replica.newest(slot, 2).x for slot in (8, 9, 10))
-    roles = [replica.tell(x, *look(x), generation=3, slot=s) for s, x in ((8, first), (9, second))]
-    assert roles == [Role.LATE] * 2 and replica.generation == 4
-    assert replica.tell(third, *look(third), generation=3, slot=10) is Role.LATE
-
-
-def test_with_few_results_or_within_the_generation_it_is_the_candidate_of_that_name() -> None:
-    replica = replica_in_the_midst(3)
-    for slot in (0, 7, 8, 100):
-        assert replica.newest(slot, 5) is replica.candidate(slot)
-
-
 def test_what_the_generation_still_needs_is_a_member_of_it() -> None:
     """Some have failed, and nobody else is rendering enough to complete it."""
     replica = replica_in_the_midst(6)
     assert replica.newest(9, 1) is replica.candidate(9)
     assert replica.newest(9, 2) is not replica.candidate(9)
-
-
-def test_told_all_of_a_generation_the_copy_is_what_the_search_becomes() -> None:
-    rng = np.random.default_rng(0)
-    search = CMAES(np.full(DIM, 0.5), 1 / 6, SIZE)
-    for _ in range(3):
-        z = search.sample(SIZE, rng)
-        losses, injected = np.square(z).sum(axis=1), np.zeros(SIZE, bool)
-        ahead = search.preview(z, losses, injected)
-        search.tell(z, losses, injected)
-        for name, value in search.state_dict().items():
-            np.testing.assert_array_equal(ahead.state_dict()[name], value)
-
-
-def test_a_copy_of_the_proposer_learns_alone() -> None:
-    proposer = replica_in_the_midst(0).optimizer.state.proposer
-    assert isinstance(proposer, LinearProposer)
-    before = copy.deepcopy(proposer.state_dict())
-    _, tokens = look(np.full(DIM, 0.5))
-    other = proposer.copy()
-    other.update(np.full((1, DIM), 0.5), tokens[None], np.ones(1), np.ones(DIM))
-    assert len(other.state_dict()["losses"]) == len(before["losses"]) + 1
-    np.testing.assert_equal(proposer.state_dict(), before)

@@ -119,48 +119,6 @@ def test_replicas_agree_on_tests_and_moves_of_exchangeable_blocks(
         assert stages(first) == stages(second) and first.generation == second.generation
 
 
-def test_who_asks_what_changes_nothing(bench: Bench) -> None:
-    idle, busy = Replica(bench.optimizer()), Replica(bench.optimizer())
-    rng = np.random.default_rng(0)
-    for _ in range(30):
-        slots = range(idle.size)
-        for slot in rng.integers(10**6, size=1):  # one of them draws much more
-            busy.candidate(int(slot))
-        for slot in slots:
-            x = idle.candidate(slot).x
-            np.testing.assert_array_equal(busy.candidate(slot).x, x)
-            result = bench.look(x)
-            for replica in (idle, busy):
-                replica.tell(x, *result, generation=replica.generation, slot=slot)
-        assert stages(idle) == stages(busy)
-    assert idle.generation == busy.generation == 30
-
-
-def test_an_interrupt_while_a_generation_is_made_leaves_it_as_it_would_be(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def stopped(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    replica, other = Replica(bench.optimizer()), Replica(bench.optimizer())
-    run(bench, replica, 24)
-    run(bench, other, 24)
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(FIDE, "make_proposals", stopped)
-        replica.candidate(0)
-    assert replica.size == other.size
-    for slot in range(other.size):
-        np.testing.assert_array_equal(replica.candidate(slot).x, other.candidate(slot).x)
-
-
-def test_slots_without_end_are_of_the_same_distribution(target: Float32) -> None:
-    replica = Replica(FIDE(3, target, popsize=5, sigma0=0.05, seed=0))
-    X = np.array([replica.candidate(slot).x for slot in range(2000)])
-    assert len(np.unique(X, axis=0)) == 2000
-    np.testing.assert_allclose(X.mean(axis=0), 0.5, atol=0.005)
-    np.testing.assert_allclose(X.std(axis=0), 0.05, rtol=0.06)
-
-
 def test_slots_beyond_the_generation_have_proposals_too(bench: Bench) -> None:
     replica = Replica(bench.optimizer(fraction_rate=0.0, proposal_fraction=0.5, patience=50))
     run(bench, replica, 40)
@@ -197,14 +155,6 @@ def test_late_and_altered_count_as_such_and_injected_do_not(bench: Bench) -> Non
     assert [c.off_distribution for c in members] == [True, True, True]  # their steps will be cut
 
 
-def test_a_slot_counts_once_as_itself(bench: Bench) -> None:
-    replica = Replica(bench.optimizer())
-    assert bench.told(replica, 3) is Role.MEMBER
-    assert bench.told(replica, 3) is Role.ALTERED  # rendered twice: the second is one more
-    assert bench.told(replica, 20) is Role.MEMBER
-    assert bench.told(replica, 20) is Role.ALTERED
-
-
 def test_what_was_asked_in_an_earlier_search_is_an_injected_candidate(bench: Bench) -> None:
     replica = Replica(bench.optimizer())
     first, before = stages(replica), replica.candidate(0).x
@@ -212,18 +162,6 @@ def test_what_was_asked_in_an_earlier_search_is_an_injected_candidate(bench: Ben
         for slot in range(replica.size):
             bench.told(replica, slot)
     assert replica.tell(before, *bench.look(before), generation=0, slot=0) is Role.INJECTED
-
-
-def test_candidates_are_known_by_what_becomes_of_them(bench: Bench) -> None:
-    def snap(x: Float64) -> Float64:
-        return np.round(x, 1)
-
-    replica = Replica(bench.optimizer(), snap)
-    x = replica.candidate(0).x
-    role = replica.tell(snap(x), *bench.look(snap(x)), generation=0, slot=0)
-    assert role is Role.MEMBER
-    [candidate], _ = replica.optimizer.state.population.members()
-    np.testing.assert_array_equal(candidate.x, x)
 
 
 def test_it_goes_on_after_a_copy_through_bytes(bench: Bench) -> None:
@@ -293,26 +231,5 @@ def test_a_test_has_its_own_candidates_again_in_further_slots(bench: Bench) -> N
     for slot in (size + 1, 2 * size, 10**6 * size + 2):
         assert replica.generation == generation
         np.testing.assert_array_equal(replica.candidate(slot).x, replica.candidate(slot % size).x)
-        assert bench.told(replica, slot) is Role.MEMBER
-    assert replica.generation == generation + 1
-
-
-@pytest.mark.parametrize("repeated", ["altered", "as itself"])
-def test_an_altered_candidate_of_a_test_counts_once(bench: Bench, repeated: str) -> None:
-    replica = Replica(bench.optimizer())
-    while stages(replica)[0] != "exchange":
-        bench.told(replica, 0)
-        for slot in range(1, replica.size):
-            bench.told(replica, slot)
-    size, generation = replica.size, replica.generation
-    population = replica.optimizer.state.population
-    own = replica.candidate(0).x
-    x = np.clip(own + 0.01, 0.0, 1.0)
-    again = x if repeated == "altered" else own
-    for told in (x, again, again):
-        replica.tell(told, *bench.look(told), generation=generation, slot=0)
-        assert population.evaluated == 1
-    for slot in range(1, size):
-        assert replica.generation == generation
         assert bench.told(replica, slot) is Role.MEMBER
     assert replica.generation == generation + 1

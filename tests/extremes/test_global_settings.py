@@ -3,23 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import AbstractContextManager
-from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
-from fide_plugins import Choice, Float, Solution, Space, fit
 from fide_plugins.fide import FIDE
-from fide_plugins.learning import learn
 from fide_plugins.types import Float64
-from fide_plugins.uncertainty import estimate
-from fide_plugins.uncertainty.estimate import looks_alike
 
 _GRID = (np.arange(16) + 0.5) / 16
-BLOCKS = [[0, 1], [2, 3]]
 
 
 def disks(x: Float64) -> Float64:
@@ -28,9 +21,6 @@ def disks(x: Float64) -> Float64:
     each = [np.hypot(_GRID[None] - a, _GRID[:, None] - b) for a, b in pairs]
     image: Float64 = sum(0.5 / (1 + np.exp((distance - 0.2) * 15)) for distance in each)
     return image
-
-
-SPACE = Space(x=Float(0, 1), gray=Choice(1.0, 0.7, 0.4))
 
 
 def disk(params: dict[str, Any]) -> Float64:
@@ -76,59 +66,3 @@ def test_candidates_are_the_same_where_double_precision_is_the_default(
         return opt.ask()
 
     np.testing.assert_array_equal(double(second_generation), second_generation())
-
-
-@pytest.mark.parametrize(
-    ("head", "groups"), [("autoregressive", []), ("mixture", []), ("set", BLOCKS)]
-)
-def test_learning_is_the_same_where_double_precision_is_the_default(
-    double: Any, head: str, groups: list[list[int]]
-) -> None:
-    options: dict[str, Any] = {"renders": 200, "passes": 1, "size": 16}
-    made = partial(learn, disks, 4, head=head, groups=groups, **options)
-    expected, model = made(), double(made)
-    assert same(model.network, expected.network) and model.report.curve == expected.report.curve
-    picture = disks(np.array([0.3, 0.4, 0.7, 0.6]))
-    np.testing.assert_array_equal(double(model.sample, picture, 5), expected.sample(picture, 5))
-    if expected.emulator is not None:
-        assert same(model.emulator, expected.emulator)
-
-
-@pytest.mark.parametrize("mode", [torch.no_grad, torch.inference_mode])
-def test_learning_is_the_same_where_the_caller_wants_no_gradients(
-    mode: type[AbstractContextManager[None]],
-) -> None:
-    made = partial(learn, disks, 4, renders=200, passes=1, size=16, groups=BLOCKS)
-    expected = made()
-    with mode():
-        model = made()
-    assert same(model.network, expected.network) and model.report.curve == expected.report.curve
-    assert model.emulator is not None and expected.emulator is not None
-    assert same(model.emulator, expected.emulator)
-    assert not any(weight.is_inference() for weight in model.network.parameters())
-
-
-def test_standard_deviations_are_the_same_where_floating_point_errors_raise(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Also where differences underflow, which depends on the processor."""
-
-    def underflowing(*args: Any) -> bool:
-        assert np.float64(1e-300) * np.float64(1e-300) == 0.0
-        return looks_alike(*args)
-
-    def fitted() -> Solution:
-        result = fit(
-            disk, disk({"x": 0.7, "gray": 0.7}), SPACE, 200, until="budget", workers=0, seed=0
-        )
-        assert result.best is not None
-        return result.best
-
-    expected = fitted()
-    monkeypatch.setattr(estimate, "looks_alike", underflowing)
-    with np.errstate(all="raise"):
-        best = fitted()
-        std = best.std
-    assert std is not None and expected.std is not None
-    np.testing.assert_array_equal(std, expected.std)
-    assert best.undetermined == expected.undetermined

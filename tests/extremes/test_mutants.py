@@ -195,13 +195,13 @@ def untrained(emulator: bool = False) -> Model:
     blocks, periodic = ((0, 1), (2, 3)), (False,) * 4
     report = Report(
         renders=90, failed=0, held_out=10, seconds=1.5, nll=-2.5, within=(0.5, 1.0), coverage=0.9,
-        ranks=(0.9, math.nan, 0.9, 0.9), unseen=("b.x",), curve=((90.0, -1.0, -0.5),),
-        augment="none", scale=1.0, fitted=0, parameters=2, emulated=0.95,
+        unseen=("b.x",), curve=((90.0, -1.0, -0.5),), augment="none", scale=1.0, fitted=0,
+        emulated=0.95,
     )  # fmt: skip
     return Model(
-        Network((4, 4), periodic, "set", blocks),
+        Network((4, 4), periodic, blocks),
         Space(b=2 * Group(x=Float(0, 1), y=Float(0, 1))),
-        (8, 8), "scene.py:render", None, "set", periodic, blocks,
+        (8, 8), "scene.py:render", None,
         Familiarity(np.zeros(256), np.eye(256), 1.0), report,
         emulator=Emulator((4, 4), periodic, blocks) if emulator else None,
     )  # fmt: skip

@@ -186,32 +186,6 @@ def test_candidates_lie_in_the_box_and_the_best_never_gets_worse(
         np.testing.assert_array_equal(each.ask(), X)
 
 
-@pytest.mark.filterwarnings("ignore:.*clipped to:RuntimeWarning")
-@settings(max_examples=15 * CASES, deadline=None)
-@given(
-    dim=st.integers(1, 4),
-    target=st.sampled_from([0.0, 1.0, 0.4]),
-    losses=st.sampled_from(LOSSES),
-    images=st.sampled_from(IMAGES),
-    seed=st.integers(0, 2**64),
-)
-def test_the_weights_of_the_network_stay_finite(
-    dim: int, target: float, losses: str, images: str, seed: int
-) -> None:
-    """Of the published method, whatever it is shown and told; what it proposes is in the box."""
-    opt = FIDE(dim, np.full((8, 8, 3), target), preset="paper", popsize=6, epochs=1, seed=seed)
-
-    def tell(X: Float64, shown: Float32 | None, values: Float64 | None) -> None:
-        assert ((X >= 0) & (X <= 1)).all()
-        opt.tell(X, shown, values)
-        check(opt)
-        proposer: Any = opt.state.proposer
-        weights = proposer.state_dict().get("weights", {})
-        assert all(bool(value.isfinite().all()) for value in weights.values())
-
-    drive(opt, losses, images, 4 * opt.popsize, seed % 2**32, tell)
-
-
 ANYTHING: list[Any] = [
     None, True, 0, 1.5, "x", b"x", {}, [], [[]], [None], object(), np.nan, 1j, {1}, slice(3),
     np.zeros(0), np.zeros(2), np.zeros(3), np.zeros((2, 2)), np.zeros((3, 2)), np.ones((3, 2)),

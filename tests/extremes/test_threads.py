@@ -82,20 +82,6 @@ def test_a_generation_told_by_eight_threads_is_the_generation_told_at_once(tmp_p
     np.testing.assert_array_equal(ours.C, theirs.C)
 
 
-def test_candidates_that_are_lost_cost_what_they_cost_and_no_more() -> None:
-    """A third never comes back, and the search goes on with what does."""
-    opt, rng = FIDE(DIM, TARGET, seed=0), np.random.default_rng(0)
-    asked = 0
-    while opt.evaluations < 600:
-        X = opt.ask(4)
-        asked += len(X)
-        kept = X[rng.random(4) < 2 / 3]
-        if len(kept):
-            opt.tell(kept, render(kept))
-    assert opt.best is not None and opt.best.loss < 1e-5
-    assert opt.state.population.pending <= asked - opt.evaluations
-
-
 def run(opt: FIDE) -> Float64:
     for _ in range(8):
         X = opt.ask()

@@ -33,20 +33,6 @@ def test_candidates_lie_in_the_box_and_the_best_is_kept(
     assert opt.evaluations == len(X) and opt.not_finite == 0
 
 
-def test_the_population_of_the_preset_or_as_given(target: Float32) -> None:
-    assert FIDE(1, target).popsize == 4
-    assert FIDE(40, target).popsize == 4 + int(3 * np.log(40))
-    assert FIDE(3, target, popsize=23).popsize == 23
-    assert FIDE(3, target, preset="paper").popsize == 500
-    assert FIDE(3, target, popsize=23).ask().shape == (23, 3)
-
-
-def test_the_first_generation_has_the_stated_spread(target: Float32) -> None:
-    X = FIDE(2, target, popsize=5000, sigma0=0.05, seed=0).ask()
-    np.testing.assert_allclose(X.mean(axis=0), 0.5, atol=0.004)
-    np.testing.assert_allclose(X.std(axis=0), 0.05, rtol=0.05)
-
-
 def test_asking_gives_what_is_left_of_the_generation(target: Float32) -> None:
     opt, other = FIDE(3, target, popsize=8, seed=0), FIDE(3, target, popsize=8, seed=0)
     pieces = [opt.ask(3), opt.ask(1), opt.ask()]
@@ -113,27 +99,6 @@ def test_global_random_state_is_neither_read_nor_changed(
     np.testing.assert_array_equal(runs[0], runs[1])
 
 
-@pytest.mark.parametrize("memory", [1, 2])
-def test_a_short_memory_proposes_too(memory: int, render: Render, target: Float32) -> None:
-    opt = FIDE(6, target, popsize=8, seed=0, buffer_generations=memory, proposal_fraction=0.5)
-    proposed = 0
-    for _ in range(5):
-        X = opt.ask()
-        proposed += sum(c.proposed for c in pending_now(opt))
-        opt.tell(X, render(X))
-    assert proposed > 5
-
-
-def test_recommend_is_the_center_first_and_the_mean_later(target: Float32) -> None:
-    opt = FIDE(5, target, seed=0)
-    np.testing.assert_array_equal(opt.recommend(), np.full(5, 0.5))
-    for _ in range(100):
-        X = opt.ask()
-        opt.tell(X, None, sphere(X))
-    assert opt.recommend().shape == (5,)
-    np.testing.assert_allclose(opt.recommend(), 0.3, atol=0.01)
-
-
 def test_recommend_stays_with_the_search_that_found_the_best(target: Float32) -> None:
     opt = FIDE(2, target, seed=0, patience=4, proposer="none", guard_images=False)
     for _ in range(60):
@@ -148,14 +113,6 @@ def test_recommend_stays_with_the_search_that_found_the_best(target: Float32) ->
     np.testing.assert_array_equal(opt.recommend(), kept)
 
 
-def test_times_are_spent_where_the_work_is(render: Render, target: Float32) -> None:
-    opt = FIDE(6, target, seed=0, **TINY_PAPER)
-    assert opt.times == {"encode": 0.0, "train": 0.0, "search": 0.0}
-    run(opt, render, 4)
-    assert all(seconds > 0 for seconds in opt.times.values())
-    assert opt.times["train"] > opt.times["search"]  # a network against six samples
-
-
 def test_an_empty_tell_changes_nothing(target: Float32, state_of: StateOf) -> None:
     opt = FIDE(6, target, seed=0)
     opt.ask(2)
@@ -164,14 +121,6 @@ def test_an_empty_tell_changes_nothing(target: Float32, state_of: StateOf) -> No
     opt.tell(np.empty((0, 6)), [], [])
     opt.tell(np.empty((0, 6)), None, [])
     assert state_of(opt) == before
-
-
-@pytest.mark.parametrize("settings", [{}, TINY_PAPER, {"proposer": "none"}])
-def test_one_parameter(settings: dict[str, Any], target: Float32, render: Render) -> None:
-    opt = FIDE(1, render(np.array([[0.8]]))[0], seed=0, **settings)
-    run(opt, render, 25)
-    assert opt.best is not None
-    assert opt.best.x == pytest.approx(0.8, abs=0.02)
 
 
 def test_the_published_method_runs_as_it_is(render: Render, target: Float32) -> None:
@@ -184,18 +133,6 @@ def test_the_published_method_runs_as_it_is(render: Render, target: Float32) -> 
         opt.tell(X, render(X))
     assert counts == [3, 3, 3, 3]
     assert opt.state.searches == 1
-
-
-def test_what_is_recommended_follows_the_search_that_found_the_best_at_once(
-    render: Render, target: Float32
-) -> None:
-    opt = FIDE(6, target, seed=0, popsize=8, restarts="anew", patience=3)
-    while opt.state.searches == 1:
-        X = opt.ask()
-        opt.tell(X, render(X), np.ones(8))
-    X = opt.ask()
-    opt.tell(X[:1], render(X[:1]), [0.5])
-    np.testing.assert_array_equal(opt.recommend(), opt.state.moves.start.mean)  # where it began
 
 
 @pytest.mark.parametrize(("popsize", "asked"), [(25_000, None), (10, 25_000)])

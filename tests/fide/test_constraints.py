@@ -12,7 +12,7 @@ import pytest
 
 from fide_plugins import FIDE, Choice, Float, Group, Int, Space
 from fide_plugins.errors import OptionError, ProtocolError
-from fide_plugins.search.policy import Stage
+from fide_plugins.search.moves import Stage
 from fide_plugins.types import Float64
 
 TARGET = np.zeros((16, 16))
@@ -73,24 +73,6 @@ def test_the_answer_is_found_at_the_border_of_what_is_valid() -> None:
             opt.tell(X, [draw(p) for p in space.decode_many(X)])
         best = opt.best
         assert best is not None and best.params == pytest.approx(answer, abs=1e-3)
-
-
-def test_samples_follow_the_search_distribution_within_the_valid_region() -> None:
-    """Reference: those of an optimizer without constraints, thrown away where they are invalid."""
-
-    def valid(X: Float64) -> Any:
-        return X[:, 0] + X[:, 1] ** 2 < 0.6
-
-    many = 4000
-    constrained = FIDE(2, TARGET, seed=0, constraints=lambda x: bool(valid(x[None])[0]))
-    X = constrained.ask(many)
-    free = FIDE(2, TARGET, seed=1, x0=constrained.state.search.mean)
-    reference = free.ask(4 * many)
-    reference = reference[valid(reference)]
-    assert valid(X).all() and len(reference) > many / 2
-    for quantile in (0.1, 0.25, 0.5, 0.75, 0.9):
-        here, there = np.quantile(X, quantile, axis=0), np.quantile(reference, quantile, axis=0)
-        np.testing.assert_allclose(here, there, atol=0.025)
 
 
 @pytest.mark.parametrize(
@@ -161,41 +143,3 @@ def test_a_checkpoint_knows_the_constraints_of_a_space_and_asks_for_a_function(
     with pytest.raises(ProtocolError, match="saved with a function of constraints"):
         loaded.ask(9)
     np.testing.assert_array_equal(FIDE.load(tmp_path / "b", constraints=valid).ask(9), own.ask(9))
-
-
-def test_without_images_a_new_search_begins_at_a_valid_point() -> None:
-    opt = FIDE(2, TARGET, seed=0, constraints=lambda x: bool(np.hypot(*(x - 0.2)) < 0.15))
-    while opt.state.searches < 4:
-        X = opt.ask()
-        assert (np.hypot(*(X - 0.2).T) < 0.15).all()
-        opt.tell(X, losses=np.zeros(len(X)))
-
-
-def test_an_expensive_function_is_called_a_hundred_times_if_one_valid_point_is_found() -> None:
-    """Before anything is asked; one in 24 points is valid, and the middle is not."""
-    calls = []
-
-    def ordered(x: Float64) -> bool:
-        calls.append(x)
-        return bool((np.diff(x) > 0).all())
-
-    for seed in range(3):
-        calls.clear()
-        opt = FIDE(4, TARGET, seed=seed, constraints=ordered)
-        assert len(calls) <= 302 and ordered(opt.state.search.mean)
-    calls.clear()
-    FIDE(4, TARGET, seed=0, x0=[0.1, 0.2, 0.3, 0.4], constraints=ordered)
-    assert len(calls) <= 3
-
-
-def test_a_fit_goes_on_where_a_choice_of_texts_and_numbers_draws_either() -> None:
-    rows = Choice(1, 2, "auto")
-    space = Space(rows=rows, x=Float(0, 1), constraints={"w": "rows * x < 1.5"})
-    X = FIDE(space, TARGET, seed=0).ask(40)
-    assert {params["rows"] for params in space.decode_many(X)} == {1, 2}
-
-
-def test_huge_violations_have_a_sum() -> None:
-    texts = {"v": "a * 1e308 < -1e308", "w": "b * 1e308 < -1e308"}
-    with pytest.raises(OptionError, match="no valid point was found"):
-        FIDE(Space(a=Float(0, 1), b=Float(0, 1), constraints=texts), TARGET, seed=0)

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from fide_plugins import encoders
-from fide_plugins.errors import FeaturesError, FideError, LossError
+from fide_plugins.errors import FeaturesError, FideError
 from fide_plugins.fide import FIDE
 from fide_plugins.types import Float32, Float64
 
@@ -38,23 +38,6 @@ def test_features_are_as_good_as_the_images(encoder: str, render: Render, target
     assert elsewhere.best.image is None  # it never was here
 
 
-@pytest.mark.parametrize("loss", ["perceptual", None, lambda images: images.mean(axis=(1, 2, 3))])
-def test_optimizers_may_share_an_encoder_and_a_loss(
-    loss: Any, render: Render, target: Float32
-) -> None:
-    first = FIDE(6, target, encoder="patch", loss=loss, popsize=8, seed=0)
-    judge = first.evaluator
-    second = FIDE(6, target, encoder=judge.encoder, loss=judge.loss, popsize=8, seed=0)
-    assert second.encoder is judge.encoder and second.evaluator.loss is judge.loss
-    assert second.options == first.options
-    torch.testing.assert_close(second.target_tokens, first.encoder(target[None])[0])
-    for _ in range(4):
-        X = first.ask()
-        np.testing.assert_array_equal(second.ask(), X)
-        for opt in (first, second):
-            opt.tell(X, render(X))
-
-
 @pytest.mark.parametrize("form", ["list", "array", "float64", "float16"])
 def test_forms_of_features(form: str, render: Render, target: Float32) -> None:
     opt, same = (FIDE(6, target, popsize=4, seed=0) for _ in range(2))
@@ -70,13 +53,6 @@ def test_forms_of_features(form: str, render: Render, target: Float32) -> None:
     same.ask()
     same.tell(X, losses=np.arange(4.0), features=tokens)
     np.testing.assert_array_equal(opt.ask(), same.ask())
-
-
-def test_no_proposer_no_use_of_features(render: Render, target: Float32) -> None:
-    opt = FIDE(6, target, popsize=4, proposer="none", seed=0)
-    X = opt.ask()
-    opt.tell(X, losses=np.arange(4.0), features=encoders.make("dense")(render(X)))
-    assert opt.evaluations == 4
 
 
 BAD: dict[str, tuple[Callable[[torch.Tensor], Any], str]] = {
@@ -124,17 +100,3 @@ def test_features_of_another_version_are_refused(
     opt.tell(X, losses=np.arange(4.0), features=tokens, version=encoder.version)
     same.tell(X, losses=np.arange(4.0), features=tokens)
     np.testing.assert_array_equal(opt.ask(), same.ask())
-
-
-def test_features_need_losses_and_no_images(
-    render: Render, target: Float32, state_of: StateOf
-) -> None:
-    opt = FIDE(6, target, popsize=4, seed=0)
-    X = opt.ask()
-    before = state_of(opt)
-    tokens = encoders.make("dense")(render(X))
-    with pytest.raises(LossError, match="losses"):
-        opt.tell(X, features=tokens)
-    with pytest.raises(FeaturesError, match="not both"):
-        opt.tell(X, render(X), np.arange(4.0), features=tokens)
-    assert state_of(opt) == before

@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from fide_plugins import Choice, Float, Int, Space, fit
-from fide_plugins.distributed.replica import Replica, Role
+from fide_plugins import Choice, Float, Int, Space
 from fide_plugins.fide import FIDE
 from fide_plugins.types import Float32, Float64
 
-from .helpers import TINY, TINY_PAPER, Render, pending_now, run
+from .helpers import TINY, TINY_PAPER, Render, run
 
 SPACES: dict[str, Space | int] = {
     "cube": 6,
@@ -64,47 +63,12 @@ def test_it_is_the_first_candidate_to_the_bit(kind: str, way: str) -> None:
         assert not (isinstance(space, int) and (again == x).all(axis=1).any())  # once
 
 
-@pytest.mark.parametrize("kind", ["floats", "mixed", "whole"])
-def test_values_come_back_as_they_were_given(kind: str) -> None:
-    """Whole numbers and choices are equal, and so is every value that a first stage has found."""
-    space = SPACES[kind]
-    assert isinstance(space, Space)
-    for x in np.random.default_rng(0).random((20, space.dim)):
-        params = space.decode(x)
-        assert space.decode(FIDE(space, TINY, x0=params, seed=0).ask(1)[0]) == params
-
-
-@pytest.mark.parametrize("dim", [1, 3, 60])  # of 60 the first two are a pair that measures a step
-def test_it_takes_the_place_of_one_sample(dim: int) -> None:
-    x = np.random.default_rng(1).random(dim)
-    opt = FIDE(dim, TINY, x0=x, sigma0=0.01, popsize=8, seed=0)
-    X = opt.ask()
-    assert X.shape == (8, dim) and opt.state.population.size == 8
-    np.testing.assert_array_equal(pending_now(opt)[0].z, x)
-    assert np.abs(X - x).max() < 0.06
-    opt.tell(X, losses=np.arange(8.0))
-    assert opt.state.search.distribution.generation == 1
-    assert opt.best is not None
-    np.testing.assert_array_equal(opt.best.x, x)
-
-
 def test_all_others_are_those_of_the_same_seed() -> None:
     """Nothing is drawn for it, so that a run without a guess is what it was."""
     with_it = FIDE(4, TINY, x0=np.full(4, 0.5), popsize=6, seed=3).ask(15)
     without = FIDE(4, TINY, popsize=6, seed=3).ask(15)
     np.testing.assert_array_equal(with_it[1:], without[1:])
     assert not (without == 0.5).all(axis=1).any()
-
-
-def test_a_guess_whose_render_failed_is_withdrawn(target: Float32, render: Render) -> None:
-    opt = FIDE(6, target, x0=np.full(6, 0.3), popsize=6, seed=0)
-    X = opt.ask(6)
-    opt.withdraw(X[:1])
-    opt.tell(X[1:], render(X[1:]))
-    more = opt.ask(1)
-    assert not np.array_equal(more[0], X[0])
-    opt.tell(more, render(more))
-    assert opt.state.search.distribution.generation == 1
 
 
 @pytest.mark.parametrize("when", ["before", "pending"])
@@ -122,16 +86,6 @@ def test_it_survives_a_checkpoint(
     np.testing.assert_array_equal(run(opt, render, 4), run(copy, render, 4))
 
 
-def test_what_is_recommended_is_the_guess_as_long_as_nothing_is_better(target: Float32) -> None:
-    """No search has found it, so no mean stands for it."""
-    x = np.full(3, 0.3)
-    opt = FIDE(3, target, x0=x, popsize=6, seed=0, proposer="none")
-    for _ in range(5):
-        X = opt.ask()
-        opt.tell(X, losses=np.where(np.equal(X, x).all(axis=1), 0.0, 1.0 + X[:, 0]))
-    np.testing.assert_array_equal(opt.recommend(), x)
-
-
 # -- the next picture ------------------------------------------------------------------------------
 
 
@@ -147,23 +101,7 @@ def test_the_next_picture_begins_where_the_last_search_ended(
     np.testing.assert_array_equal(opt.ask(1)[0], best)
 
 
-def test_before_anything_was_rendered_it_begins_at_the_guess(target: Float32) -> None:
-    x = np.linspace(0.1, 0.9, 6)
-    opt = FIDE(6, target, x0=x, popsize=8, seed=0)
-    opt.retarget(1 - target)
-    np.testing.assert_array_equal(opt.ask()[0], x)
-
-
 # -- in many processes -----------------------------------------------------------------------------
-
-
-def test_replicas_agree_on_it(target: Float32) -> None:
-    x = np.linspace(0.1, 0.9, 6)
-    first, second = (Replica(FIDE(6, target, x0=x, popsize=6, seed=0)) for _ in range(2))
-    for slot in (0, 1, 5, 6, 11):  # beyond the generation it is not asked again
-        np.testing.assert_array_equal(first.candidate(slot).x, second.candidate(slot).x)
-        assert np.array_equal(first.candidate(slot).x, x) == (slot == 0)
-    assert first.tell(x, 1.0, generation=0, slot=0) is Role.MEMBER
 
 
 # -- what it is worth ------------------------------------------------------------------------------
@@ -195,37 +133,3 @@ def test_best_is_never_worse(seed: int, preset: str, kind: str, renders: int, ne
         opt.tell(X, losses=losses(X))
     assert opt.best is not None
     assert opt.best.loss <= losses(placed(space, x)[None])[0]
-
-
-def peak(p: dict[str, Any]) -> Float64:
-    """A spot of one pixel: from farther away no image says where it is."""
-    v, u = np.mgrid[0:32, 0:32] / 31
-    image: Float64 = np.exp(-((u - p["x"]) ** 2 + (v - p["y"]) ** 2) / 4e-4)
-    return image
-
-
-@pytest.mark.parametrize("sigma0", [0.05, 0.02])
-def test_a_narrow_search_stays_at_a_good_guess(sigma0: float) -> None:
-    """Where it began at the default width, it would lose the spot."""
-    space = Space(x=Float(0, 1), y=Float(0, 1))
-    guess, answer = {"x": 0.502, "y": 0.5}, {"x": 0.5, "y": 0.5}
-    at_guess = float(np.square(peak(guess) - peak(answer)).mean())
-    for seed in range(4):
-        found = fit(
-            peak, peak(answer), space, x0=guess, sigma0=sigma0, budget=60, until="budget",
-            workers=0, seed=seed,
-        )  # fmt: skip
-        assert found.best is not None and found.best.loss < 1e-3 * at_guess
-
-
-def test_around_a_good_guess_few_choices_change() -> None:
-    """A narrow width is one of whole numbers and choices too; the usual one is what it was."""
-    space = Space(**{f"c{i}": Choice("a", "b", "c") for i in range(6)}, n=Int(1, 9))
-    guess = {**{f"c{i}": "b" for i in range(6)}, "n": 5}
-
-    def changed(sigma0: float) -> float:
-        X = FIDE(space, TINY, x0=guess, sigma0=sigma0, popsize=200, seed=0).ask()
-        rows = [space.decode(x) for x in X]
-        return float(np.mean([row[name] != value for row in rows for name, value in guess.items()]))
-
-    assert changed(0.02) < 0.05 < 0.25 < changed(1 / 6)

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from fide_plugins.fide import FIDE
-from fide_plugins.search.cma_es import CMAES, TwoPoint
 from fide_plugins.types import Float32, Float64
 
-from .helpers import TINY, Render, pending_now, run, sphere
+from .helpers import Render, pending_now, run
 
 
 @pytest.mark.thorough
@@ -30,22 +29,6 @@ def test_many_workers_late_results_and_lost_candidates(render: Render, target: F
     assert opt.evaluations == told
     assert opt.best is not None and opt.best.loss < 2e-3  # 0.03 at the center
     assert np.isfinite(opt.state.search.mean).all()
-
-
-def test_a_late_candidate_is_injected(target: Float32) -> None:
-    """It was drawn elsewhere, so its step is cut, whatever its rank."""
-    opt = FIDE(2, target, seed=0, popsize=4, proposer="none", restarts="none")
-    late = opt.ask(1)
-    z_late = pending_now(opt)[0].z.copy()
-    other = opt.ask(4)
-    opt.tell(other, None, np.square(other - late).sum(axis=1))
-    opt.state.search.distribution.sigma /= 100  # as after many generations
-    plain = CMAES.from_state(opt.state.search.distribution.state_dict(), 2, 4)
-    X = opt.ask(3)
-    z = np.array([z_late, *(c.z for c in pending_now(opt)[1:])])
-    opt.tell(np.concatenate([X, late]), None, [2.0, 3.0, 4.0, 1.0])
-    plain.tell(z, np.array([1.0, 2.0, 3.0, 4.0]), np.arange(4) == 0)
-    np.testing.assert_array_equal(opt.state.search.mean, plain.mean)
 
 
 def test_points_that_were_never_asked_can_become_the_best(
@@ -125,47 +108,3 @@ def test_a_candidate_of_an_earlier_search_is_injected(render: Render, target: Fl
     assert (opt.state.search.mean != mean).all()
     assert opt.best is not None
     np.testing.assert_array_equal(opt.best.x, old[0])
-
-
-def test_a_guess_that_is_the_best_is_recommended(
-    render: Render, target: Float32, answer: Float64
-) -> None:
-    opt = FIDE(6, target, seed=0, popsize=8)
-    run(opt, render, 3)
-    opt.tell(answer[None], render(answer[None]))
-    np.testing.assert_array_equal(opt.recommend(), answer)
-    run(opt, render, 3)
-    np.testing.assert_array_equal(opt.recommend(), answer)
-
-
-@pytest.mark.parametrize(
-    ("told", "pair"),
-    [
-        ([0, 1, 2, 3, 4, 5, 6, 7], (0, 1)),
-        ([8, 5, 1, 7, 2, 6, 0, 3], (0, 1)),  # one was lost that is not of the pair
-        ([9, 4, 8, 6, 2, 5, 7, 10], (8, 9)),  # the first pair was lost
-        ([9, 4, 0, 6, 2, 5, 7, 8], (8, 9)),  # half of it was
-    ],
-)
-def test_the_pair_that_measures_the_step_size_is_found_in_any_order(
-    told: list[int], pair: tuple[int, int]
-) -> None:
-    """Of 60 parameters and 8 candidates; the pair is neither where results are lost nor first."""
-    options: dict[str, Any] = {"proposer": "none", "restarts": "none", "guard_search": False}
-    opt = FIDE(60, TINY, seed=0, popsize=8, sigma0=0.05, **options)
-    for _ in range(3):
-        X = opt.ask()
-        opt.tell(X, None, sphere(X))
-    search = opt.state.search.distribution
-    X = opt.ask(16)  # two draws from the same distribution, each with its pair
-    np.testing.assert_allclose(X[list(pair)].mean(axis=0), search.mean, atol=1e-12)
-    losses = sphere(X)
-    reference, sigma = TwoPoint(60), search.sigma
-    reference.load_state_dict(search.state_dict()["two_point"])
-    where = np.searchsorted(sorted(told), pair)
-    factor = reference.factor(X[0], losses[sorted(told)], (int(where[0]), int(where[1])))
-    for x, loss in zip(X[told], losses[told], strict=True):
-        opt.tell(x[None], None, [loss])
-    assert opt.state.population.generations == 4
-    assert factor != 1
-    assert search.sigma == pytest.approx(sigma * factor, rel=1e-12)

@@ -9,10 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-import fide_tasks
-from fide_plugins.errors import OptionError
 from fide_plugins.fide import FIDE
-from fide_plugins.search.policy import Stage
+from fide_plugins.search.moves import Stage
 from fide_plugins.types import Float32
 
 from .helpers import Render, StateOf
@@ -86,20 +84,6 @@ def test_many_workers_may_ask_ahead(stage: Stage, target: Float32, render: Rende
         opt.tell(X, render(X))
 
 
-@pytest.mark.parametrize("stage", STAGES)
-def test_every_candidate_may_fail(stage: Stage, target: Float32, render: Render) -> None:
-    for value in (np.nan, np.inf):
-        opt = until(stage, target, render)
-        searches = opt.state.searches
-        X = opt.ask()
-        opt.tell(X, render(X), np.full(len(X), value))
-        for _ in range(25):
-            X = opt.ask()
-            assert np.isfinite(X).all() and X.min() >= 0 and X.max() <= 1
-            opt.tell(X, None, np.square(X - 0.3).sum(axis=1))
-        assert opt.state.searches > searches
-
-
 def test_a_restart_candidate_that_is_the_best_is_recommended(
     target: Float32, render: Render
 ) -> None:
@@ -143,22 +127,3 @@ def test_can_be_switched_off(restarts: str, target: Float32, render: Render) -> 
         means.add(tuple(opt.state.moves.start.mean))
     assert (opt.state.searches > 1) == (restarts == "anew")
     assert len(means) == (opt.state.searches if restarts == "anew" else 1), "each somewhere else"
-
-
-def test_groups_are_checked_when_the_dimension_is_known(target: Float32) -> None:
-    for groups in ([[0, 1], [1, 2]], [[0, 1], [2]], [[0, 1], [5, 6]], [0, 1], 3):
-        with pytest.raises(OptionError, match="groups"):
-            FIDE(6, target, groups=groups)
-
-
-def test_cells_are_found_to_be_exchangeable() -> None:
-    """Voronoi cells, each the five parameters of one."""
-    task = fide_tasks.make("voronoi", 64, 0)
-    opt = FIDE(task.dim, task.target, seed=0)
-    while not opt.state.moves.known.exchangeability.finished:
-        X = opt.ask()
-        opt.tell(X, task.render(X))
-        assert opt.evaluations < 2000
-    blocks = opt.state.moves.known.exchangeability.blocks
-    assert blocks is not None and not opt.state.moves.known.exchangeability.ordered
-    np.testing.assert_array_equal(blocks, np.arange(40).reshape(8, 5))

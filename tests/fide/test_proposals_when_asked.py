@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -53,49 +52,6 @@ def test_asked_one_by_one_each_proposal_knows_all_that_was_told(
             assert len(opt.state.samples) == 0 and len(known) == len(opt.state.learned)
         opt.tell(X, render(X))
     assert len(known) == 8  # each was learned from once
-
-
-@pytest.mark.parametrize("proposer", ["linear", "forward"])
-def test_when_it_is_told_matters_and_in_which_pieces_does_not(
-    proposer: str, render: Render, target: Float32
-) -> None:
-    """The same asking, and the same told between: the same run."""
-    runs: list[list[Float64]] = []
-    for pieces in (1, 3):
-        opt = FIDE(6, target, proposer=proposer, **SETTINGS)
-        rng = np.random.default_rng(0)
-        asked = []
-        for _ in range(25):
-            X = opt.ask(4)  # half of a generation
-            order = rng.permutation(4) if pieces > 1 else np.arange(4)
-            for part in np.array_split(order, pieces):
-                opt.tell(X[part], render(X[part]))
-            asked.append(X)
-        runs.append(asked)
-    np.testing.assert_array_equal(runs[0], runs[1])
-    whole = FIDE(6, target, proposer=proposer, **SETTINGS)
-    asked = []
-    while sum(map(len, asked)) < 100:
-        asked.append(whole.ask())
-        whole.tell(asked[-1], render(asked[-1]))
-    assert (np.concatenate(asked)[:100] != np.concatenate(runs[0])).any()
-
-
-@pytest.mark.parametrize("proposer", ["linear", "forward", "both"])
-def test_saving_in_the_middle_makes_no_proposal_before_its_time(
-    proposer: str, render: Render, target: Float32, tmp_path: Path
-) -> None:
-    saved, other = (FIDE(6, target, proposer=proposer, **SETTINGS) for _ in range(2))
-    one_by_one(saved, render, 28)
-    one_by_one(other, render, 28)
-    while not len(saved.state.population.reserved):
-        np.testing.assert_array_equal(one_by_one(saved, render, 1), one_by_one(other, render, 1))
-    for _ in range(6):
-        saved.save(tmp_path / "c")
-        copy = FIDE.load(tmp_path / "c")
-        asked = one_by_one(other, render, 3)
-        np.testing.assert_array_equal(one_by_one(saved, render, 3), asked)
-        np.testing.assert_array_equal(one_by_one(copy, render, 3), asked)
 
 
 @pytest.mark.parametrize("n", [4, 8, 20])

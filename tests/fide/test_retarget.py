@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +9,7 @@ import numpy as np
 import pytest
 
 import fide_tasks
-from fide_plugins import Choice, Float, Space
-from fide_plugins.errors import ImageError, LossError, UnknownNameError
+from fide_plugins.errors import ImageError, UnknownNameError
 from fide_plugins.fide import FIDE
 from fide_plugins.search.recall import Recalled
 from fide_plugins.state import State
@@ -118,39 +116,6 @@ def test_a_bad_picture_changes_nothing(
     assert state_of(opt) == before
 
 
-def test_a_loss_of_one_s_own_must_be_given_again(target: Float32, render: Render) -> None:
-    opt = FIDE(6, target, seed=1, loss=lambda images: np.abs(images - target).mean((1, 2, 3)))
-    go_on(opt, render, 10)
-    picture = render(np.full((1, 6), 0.4))[0]
-    with pytest.raises(LossError, match="give the one for the new target"):
-        opt.retarget(picture)
-    opt.retarget(picture, loss=lambda images: np.abs(images - picture).mean((1, 2, 3)))
-    opt.tell(np.full((1, 6), 0.4), picture[None])
-    assert opt.best is not None and opt.best.loss == 0
-
-
-def test_named_parameters_go_on(render: Render, target: Float32) -> None:
-    space = Space(
-        **{f"p{i}": Float(-1, 1, periodic=i == 2) for i in range(5)}, last=Choice(1, 2, 3)
-    )
-
-    def rendered(X: Float64) -> Float32:
-        values = space.layout.numbers(X)
-        return render(np.column_stack([(values[:, :5] + 1) / 2, values[:, 5] / 2]))
-
-    opt = FIDE(space, target, seed=0, popsize=8)
-    for _ in range(40):
-        X = opt.ask()
-        opt.tell(X, rendered(X))
-    x = space.encode({**{f"p{i}": 0.3 for i in range(5)}, "last": 2})
-    opt.retarget(rendered(x[None])[0])
-    for _ in range(10):
-        X = opt.ask()
-        np.testing.assert_array_equal(space.snap(X), X)
-        opt.tell(X, rendered(X))
-    assert opt.best is not None and opt.best.params is not None
-
-
 def renders(opt: FIDE, render: Render, goal: float, most: int) -> int:
     """Renders until the loss is at most `goal`."""
     before = opt.evaluations
@@ -180,16 +145,6 @@ def test_frames_of_a_drifting_scene_need_a_small_part_of_the_renders() -> None:
     assert sum(again) <= sum(fresh) / 3
 
 
-def test_what_is_remembered_is_bounded(target: Float32, render: Render) -> None:
-    opt = FIDE(6, target, seed=0, popsize=8, memory_mb=0.05)
-    for _ in range(3):
-        go_on(opt, render, 20)
-        opt.retarget(np.roll(opt.target, 1, axis=0))
-    kept = opt.state.memory.samples
-    assert sum(one.tokens.nbytes + one.x.nbytes for one in kept) <= 0.05 * 2**20
-    assert copy.deepcopy(opt.state.memory).samples[0].index == kept[0].index
-
-
 def test_all_hypotheses_are_asked_first_however_few_samples_a_generation_has(
     target: Float32, render: Render, answer: Float64, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -204,18 +159,10 @@ def test_all_hypotheses_are_asked_first_however_few_samples_a_generation_has(
     monkeypatch.setattr(State, "recall", noted)
     most = 0
     for seed in range(6):
-        opt = FIDE(6, target, popsize=6, seed=seed, smallest_fraction=0.8)
+        opt = FIDE(6, target, popsize=6, seed=seed, proposal_fraction=0.8, fraction_rate=0.0)
         go_on(opt, render, 20)
         opt.retarget(render(np.clip(answer + 0.2, 0, 1)[None])[0])
         hypotheses = recalled[-1].hypotheses
         np.testing.assert_array_equal(opt.ask(len(hypotheses)), hypotheses)
         most = max(most, len(hypotheses))
     assert most > 1
-
-
-def test_restarts_by_losses_alone_are_counted_anew(target: Float32, render: Render) -> None:
-    opt = FIDE(6, target, popsize=8, seed=1)
-    go_on(opt, render, 10)
-    opt.state.moves.loss_only_searches = 5
-    opt.retarget(1 - target)
-    assert opt.state.moves.loss_only_searches == 0

@@ -25,36 +25,19 @@ RUN = Facts(evaluations=3000, best=0.01, improved_at=1200, horizon=500, ended=[2
         (replace(RUN, improved_at=2800), "improving", "Still improving"),
         (replace(RUN, ended=[]), "stalled", "since evaluation 1,200"),
         (replace(RUN, ended=[1, 0]), "stalled", "of one search, no second one began elsewhere. Un"),
-        (
-            RUN,
-            "unsure",
-            "Of 4 searches from different starting points 2 ended at this answer, the others at 2",
-        ),
+        (RUN, "unsure", "2 of 4 searches from different starting points ended at this answer"),
         (replace(RUN, ended=[5, 1]), "agreed", "5 of 6 searches from different starting points"),
         (replace(RUN, ended=[5, 1], forgotten=3), "agreed", "5 of 9 searches"),
-        (
-            replace(RUN, ended=[5, 1], forgotten=4),
-            "unsure",
-            "10 searches from different starting",
-        ),
-        (
-            replace(RUN, ended=[5, 1], forgotten=4),
-            "unsure",
-            "5 ended at this answer, the others at more than 1",
-        ),
-        (
-            replace(RUN, ended=[2, 0]),
-            "unsure",
-            "2 searches from different starting points ended",
-        ),
-        (replace(RUN, ended=[0, 3]), "unsure", "points none ended at this answer, the others at 1"),
-        (replace(RUN, ended=[3, 3]), "unsure", "the others at 1, so there may be a better one"),
+        (replace(RUN, ended=[5, 1], forgotten=4), "unsure", "5 of 10 searches"),
+        (replace(RUN, ended=[2, 0]), "unsure", "answer, too few to be sure"),
+        (replace(RUN, ended=[0, 3]), "unsure", "0 of 3 searches"),
+        (replace(RUN, ended=[3, 3]), "unsure", "so there may be a better one"),
         (
             replace(RUN, others=0.012, apart=0.42),
             "unsure",
-            "the others at 2 (the best of these has loss 0.012; parameters differ by up to 42% of "
-            "their range), so there may be a better one: fit again with another seed and compare "
-            "the losses, or give more renders.",
+            "(the best of the others has loss 0.012; parameters differ by up to 42% of their "
+            "range), so there may be a better one: fit again with another seed and compare the "
+            "losses, or give more renders.",
         ),
         (replace(RUN, best=-1.0), "unsure", "loss -1"),
         (
@@ -149,37 +132,3 @@ def picture(column: int = 10) -> Float32:
     image[0, :256], image[0, 256:] = 0, 255
     image[10:13, column : column + 3] -= 25
     return image / np.float32(255)
-
-
-def code_of(image: Float32, **options: object) -> str:
-    """Of a run that was told this image once."""
-    opt = FIDE(2, picture(), seed=0, encoder="patch", **options)  # type: ignore[arg-type]
-    opt.tell(opt.ask(1), image[None])
-    return opt.status.code
-
-
-def test_a_small_object_in_a_large_picture_counts() -> None:
-    """Its place hardly changes the mean squared error."""
-    moved = picture(400)
-    assert np.square(moved - picture()).mean() < (1 / 255) ** 2 / 12
-    assert code_of(moved) == "improving"
-
-
-def test_rounding_to_8_bits_does_not_count() -> None:
-    rng = np.random.default_rng(0)
-    halves = rng.uniform(-0.45, 0.45, (512, 512, 3))
-    few = rng.random((512, 512, 3)) < 0.05
-    halves[0] = few[0] = 0  # no image is darker than black, or lighter than white
-    assert code_of((picture() + halves / 255).astype(np.float32)) == "solved"
-    assert code_of((picture() + few / 255).astype(np.float32)) == "solved"
-    assert code_of((picture() + 2 * few / 255).astype(np.float32)) == "improving"
-
-
-def test_pixels_that_do_not_count_may_differ() -> None:
-    mask = np.ones((512, 512), np.float32)
-    mask[:, 400:403] = 0
-    image = picture()
-    image[:, 400:403] = 0
-    assert code_of(image, mask=mask) == "solved"
-    image[20, 20] += 0.1
-    assert code_of(image, mask=mask) == "improving"

@@ -73,14 +73,6 @@ def test_the_first_search_converges_faster_with_them(render: Render, target: Flo
     assert reached[1] < reached[0] / 5
 
 
-def test_who_asks_for_a_generation_gets_just_that(render: Render, target: Float32) -> None:
-    opt = FIDE(6, target, restarts="none", **SETTINGS)
-    for _ in range(15):
-        X = opt.ask()
-        assert len(X) == 8 and not steps_pending(opt)
-        opt.tell(X, render(X))
-
-
 def test_who_asks_for_many_gets_steps_and_then_a_generation(
     render: Render, target: Float32, tmp_path: Path
 ) -> None:
@@ -99,34 +91,6 @@ def test_who_asks_for_many_gets_steps_and_then_a_generation(
     opt.tell(X, render(X))
 
 
-def test_the_best_step_is_injected_and_the_mean_of_its_search_recommended(
-    render: Render, target: Float32
-) -> None:
-    opt = FIDE(6, target, **SETTINGS)
-    X = first_step(opt, render)
-    loss = opt.best.loss / 2 if opt.best is not None else 0.0
-    opt.tell(X, render(X), np.array([loss]))
-    assert opt.state.injected is not None
-    np.testing.assert_array_equal(opt.state.injected[0], X[0])
-    assert opt.best is not None and opt.best.loss == loss
-    np.testing.assert_array_equal(
-        opt.recommend(), opt.state.search.render_mean(opt.state.search.mean)
-    )
-
-
-def test_one_that_is_withdrawn_or_never_told_holds_nothing_up(
-    render: Render, target: Float32
-) -> None:
-    opt = FIDE(6, target, **SETTINGS)
-    opt.withdraw(first_step(opt, render))
-    generations = opt.state.population.generations
-    first_step(opt, render)  # never told
-    for _ in range(80):
-        X = opt.ask(1)
-        opt.tell(X, render(X))
-    assert opt.state.population.generations >= generations + 2
-
-
 def test_saved_between_two_steps_it_goes_on_bit_for_bit(
     render: Render, target: Float32, tmp_path: Path
 ) -> None:
@@ -139,21 +103,6 @@ def test_saved_between_two_steps_it_goes_on_bit_for_bit(
     asked, steps = one_by_one(opt, render, 40)
     assert any(steps)
     np.testing.assert_array_equal(one_by_one(copy, render, 40)[0], asked)
-
-
-def test_the_next_picture_begins_with_what_is_remembered(render: Render, target: Float32) -> None:
-    """With losses of the new picture, and a generation."""
-    opt = FIDE(6, target, **SETTINGS)
-    opt.tell(X := first_step(opt, render), render(X))
-    other = render(np.full((1, 6), 0.4))[0]
-    opt.retarget(other)
-    steps = opt.state.steps
-    assert steps is not None and not steps.forward.ready
-    best = min(steps._new, key=lambda sample: sample.loss)
-    errors = np.square(render(np.array([one.x for one in steps._new])) - other).mean(axis=(1, 2, 3))
-    assert np.square(render(best.x[None])[0] - other).mean() == errors.min()
-    _, flags = one_by_one(opt, render, 30)
-    assert not any(flags[:8]) and any(flags)
 
 
 def test_what_fails_after_the_steps_hands_out_none(
@@ -202,34 +151,3 @@ def test_integers_bring_no_step_twice(n: int, out: int) -> None:
             while len(queue) >= out:
                 opt.tell(queue[0][None], draw(queue.pop(0)[None]))
     assert steps > 0
-
-
-def test_who_began_a_generation_gets_no_step_in_it(render: Render, target: Float32) -> None:
-    opt = FIDE(6, target, **SETTINGS)
-    opt.tell(X := first_step(opt, render), render(X))
-    X = opt.ask()
-    opt.tell(X[:2], render(X[:2]))
-    opt.ask(3)
-    assert not steps_pending(opt)
-
-
-def test_eight_workers_get_no_more_ahead_for_steps_that_are_out(
-    render: Render, target: Float32
-) -> None:
-    """What the present generation needs is its own, whatever steps are pending."""
-    opt = FIDE(6, target, **SETTINGS)
-    opt.tell(X := first_step(opt, render), render(X))
-    opt.ask(20)
-    population = opt.state.population
-    steps = steps_pending(opt)
-    assert steps > 0 and population.awaited <= population.pending - steps
-
-
-def test_images_that_say_nothing_bring_no_steps(target: Float32) -> None:
-    """Noise for images: the search is CMA-ES."""
-    opt, rng = FIDE(6, target, **SETTINGS), np.random.default_rng(0)
-    for _ in range(150):
-        X = opt.ask(1)
-        assert not steps_pending(opt)
-        images = rng.random((1, *target.shape)).astype(np.float32)
-        opt.tell(X, images, np.square(X - 0.3).sum(axis=1))

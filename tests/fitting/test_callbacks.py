@@ -1,18 +1,12 @@
-"""Callbacks are called in order, and TensorBoard reads what is written for it."""
+"""Callbacks are called in order, and stop a fit."""
 
 from __future__ import annotations
-
-import sys
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from fide_plugins import fit
-from fide_plugins.errors import DependencyError
 from fide_plugins.fitting.callbacks import Event, Run
-from fide_plugins.fitting.callbacks.tensorboard import TensorBoard
 from fide_plugins.fitting.result import Result
 
 from .scene import SPACE, disk, target
@@ -64,26 +58,3 @@ def test_a_callback_stops_with_true_of_python_or_numpy(answer: object, stops: bo
         disk(), target(), SPACE, budget=9, workers=0, seed=1, callbacks=lambda event: answer
     )
     assert result.evaluations == (1 if stops else 9)
-
-
-def test_tensorboard_is_asked_for_by_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
-    with pytest.raises(DependencyError, match=r"pip install tensorboard .*extra tensorboard"):
-        TensorBoard("nowhere")
-
-
-@pytest.mark.filterwarnings("ignore::DeprecationWarning")
-def test_tensorboard_reads_curves_images_and_parameters(tmp_path: Path) -> None:
-    pytest.importorskip("tensorboard", reason="needs the extra tensorboard")
-    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-
-    arguments: dict[str, Any] = {"budget": 20, "workers": 0, "seed": 1}
-    result = fit(disk(), target(), SPACE, callbacks=TensorBoard(tmp_path), **arguments)
-    events = EventAccumulator(str(tmp_path)).Reload()
-    best = events.Scalars("loss/best")
-    assert [point.step for point in best] == list(range(1, 21))
-    assert [point.value for point in best] == pytest.approx(result.curve[:, 1].tolist())
-    assert {"target", "best"} <= set(events.Tags()["images"])
-    assert (events.Images("target")[0].width, events.Images("target")[0].height) == (16, 16)
-    last = {name: events.Scalars(f"parameters/{name}")[-1].value for name in SPACE.names}
-    assert last == pytest.approx(result.params)

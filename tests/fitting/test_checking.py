@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from dataclasses import replace
 from typing import Any
 
 import cloudpickle
@@ -11,17 +12,7 @@ import numpy as np
 import pytest
 
 from fide_plugins import Choice, Float, Group, Int, Space
-from fide_plugins.errors import ImageError
-from fide_plugins.fitting.checking import Facts, check
-from fide_plugins.fitting.checking.measuring import (
-    Difference,
-    difference,
-    image_of,
-    other_values,
-    small,
-    sweeps,
-)
-from fide_plugins.fitting.checking.report import advice, as_data, budget, lines, workers
+from fide_plugins.fitting.checking import Difference, Facts, advice, as_data, check, lines, sweeps
 
 # Workers get the functions of this file: away from the repository they cannot import it.
 cloudpickle.register_pickle_by_value(sys.modules[__name__])
@@ -67,9 +58,9 @@ def test_other_values_are_never_the_same_one() -> None:
     space = Space(angle=Float(0, 360, periodic=True), n=Int(1, 3))
     angle, n = sweeps(space, np.full(2, 0.5))
     base = np.array([0.9, 0.5])
-    turned = other_values(angle, base)[:, 0]
+    turned = angle.elsewhere(base)[:, 0]
     assert len({0.9, *turned}) == 3 and (turned >= 0).all() and (turned <= 1).all()
-    assert [params["n"] for params in space.decode_many(other_values(n, base))] == [1, 2, 3]
+    assert [params["n"] for params in space.decode_many(n.elsewhere(base))] == [1, 2, 3]
 
 
 def test_parameters_that_change_nothing_here_or_anywhere() -> None:
@@ -94,13 +85,13 @@ def test_parameters_that_change_nothing_here_or_anywhere() -> None:
     }  # fmt: skip
     told = "\n".join(advice(facts))
     for sentence in (
-        "unread and unused change nothing at any of 4 points",
-        "angle, other and side change nothing at the center",
+        "unread, unused: changes nothing at any of 4 points",
+        "angle, other, side: changes nothing at the center",
         "faint changes less than a picture of 8 bits",
         "seam is periodic, but its ends give different images",
     ):
         assert sentence in told
-    assert facts.noise == Difference(0, 0) and not facts.drifts and not facts.failures
+    assert facts.noise == Difference(0, 0) and not facts.failures
 
 
 def test_things_of_one_kind_do_not_hide_each_other_at_the_center() -> None:
@@ -115,7 +106,7 @@ def test_things_of_one_kind_do_not_hide_each_other_at_the_center() -> None:
         return image * (0.5 + p["light"] / 2)
 
     facts = check(render, space, workers=1)
-    assert {one.where for one in facts.effects} == {"center"} and facts.repeated
+    assert {one.where for one in facts.effects} == {"center"}
     assert isinstance(facts.center, dict) and facts.center["light"] == 0.5 and facts.centered
 
 
@@ -129,7 +120,7 @@ def test_ends_of_an_angle_that_are_alike() -> None:
     space = Space(turn=around, gray=Float(0.5, 1), x=Float(-1, 1))
     told = [one for one in advice(check(render, space, workers=1)) if "both ends" in one]
     assert told == [
-        "both ends of turn give the same image; if it is an angle, make it periodic"
+        "both ends of turn give one image; if it is an angle, make it periodic"
     ]  # x is no angle
 
 
@@ -147,66 +138,16 @@ def test_noise_hides_no_parameter_that_changes_nothing() -> None:
     assert "--until stalled" in " ".join(data["advice"])
 
 
-def test_a_renderer_that_remembers_is_no_noisy_one() -> None:
-    def render(p: dict[str, Any], calls: list[int] = []) -> Any:  # noqa: B006
-        calls.append(1)
-        return np.full((6, 8), p["gray"] * (1 if len(calls) < 6 else 0.5))
-
-    facts = check(render, Space(gray=Float(0.1, 1)), workers=1)
-    assert facts.drifts and facts.noise == Difference(0, 0)
-    assert as_data("x", facts)["deterministic"] is False
-    assert "keeps something from render to render" in " ".join(advice(facts))
-
-
-def test_a_renderer_that_drifts_from_render_to_render_is_no_noisy_one() -> None:
-    def render(p: dict[str, Any], calls: list[int] = []) -> Any:  # noqa: B006
-        calls.append(1)
-        return np.full((6, 8), p["gray"]) * (1 - 0.01 * len(calls))
-
-    facts = check(render, Space(gray=Float(0.1, 1)), workers=0)
-    assert facts.drifts and facts.noise is not None and facts.noise.most > 0
-    assert "more from later ones" in " ".join(lines("x", facts))
-    told = " ".join(advice(facts))
-    assert "keeps something from render to render" in told and "told from noise" not in told
-
-
-def test_noise_of_the_brightness_is_no_drift() -> None:
-    def render(p: dict[str, Any]) -> Any:
-        return np.full((2, 2), 0.5 + 0.1 * p["gray"] + 0.02 * rng.normal())
-
-    for seed in range(20):
-        rng = np.random.default_rng(seed)
-        assert not check(render, Space(gray=Float(0, 1)), workers=0).drifts
-
-
 def test_nothing_is_planned_where_no_parameter_changes_the_image() -> None:
     facts = check(lambda p: np.zeros((6, 8)), Space(x=Float(0, 1), y=Float(0, 1)), workers=0)
     assert advice(facts) == [
-        f"one color everywhere in {facts.images} of {facts.images} images",
+        f"one color everywhere in {facts.images} of {facts.images} images: "
+        "a search learns little there",
         "no parameter changes the image; does the renderer read them?",
     ]
 
 
 # -- values ----------------------------------------------------------------------------------------
-
-
-def test_what_is_in_an_image() -> None:
-    image = image_of(np.full((4, 6, 3), 51, np.uint8))
-    assert (image.shapes, image.kinds) == (((4, 6, 3),), ("uint8",))
-    assert image.low == image.high == pytest.approx(0.2) and image.constant
-    odd = np.linspace(-1, 10, 24).reshape(4, 6)
-    odd[0, 0], odd[3, 5] = np.nan, np.inf
-    found = image_of(odd)
-    assert found.not_finite == 2 and -1 < found.low < 0 and 9 < found.high < 10
-    views = image_of([np.zeros((4, 6)), np.ones((2, 3, 4), np.float32)])
-    assert views.shapes == ((4, 6, 1), (2, 3, 4)) and views.constant
-    assert small(views).shape[2] == 3
-    assert difference(image, found).rms == np.inf  # of another size
-    halves = [image_of(np.full((4, 6), gray)) for gray in (0.25, 0.5)]
-    assert difference(*halves) == Difference(0.25, 0.25)
-    for wrong in (None, np.zeros((4, 6), np.uint16), np.zeros((4, 6, 5)), "no.png", 3):
-        with pytest.raises(ImageError):
-            image_of(wrong)
 
 
 @pytest.mark.parametrize(
@@ -262,7 +203,7 @@ def test_nothing_but_failures() -> None:
     assert facts.images == 0 and facts.failures[0].count == facts.renders == 9
     assert "mend the renderer first" in lines("x", facts)[-1]
     data = as_data("x", facts)
-    assert data["low"] is None and data["parameters"] == []
+    assert data["values"] is None and data["parameters"] == []
 
 
 @pytest.mark.thorough
@@ -281,26 +222,21 @@ def test_what_ends_its_process_or_hangs_needs_one_of_its_own() -> None:
     reasons = " ".join(one.reason for one in facts.failures)
     assert "died with exit code 3" in reasons and "did not end within 0.5 s, its" in reasons
     assert "--timeout" not in reasons
-    assert facts.kills and workers(facts) >= 1
+    assert facts.kills and facts.workers >= 1
 
 
-# -- what to plan ----------------------------------------------------------------------------------
+def test_renders_to_plan() -> None:
+    planned = [replace(Facts(dim, dim), median=1.0, number=4) for dim in (3, 40, 100, 160)]
+    assert [facts.budget for facts in planned] == [2000, 4000, 10_000, 24_000]
+    assert planned[0].workers == 4 and planned[0].seconds_of_fit == pytest.approx(502)
+    assert Facts(2, 2, median=0.001, number=4).workers == 0
 
 
-def measured(alone: float, number: int, together: float | None, dim: int = 4) -> Facts:
-    facts = Facts(dim, dim, images=9, alone=alone, median=alone, low=0, high=1)
-    facts.number, facts.together = number, together
-    return facts
-
-
-def test_renders_and_workers_to_plan() -> None:
-    assert [budget(measured(1, 1, None, dim)) for dim in (3, 40, 100, 160)] == [
-        2000, 4000, 10_000, 24_000,
-    ]  # fmt: skip
-    assert workers(measured(0.001, 1, None)) == 0
-    assert workers(measured(1.0, 8, 1.2)) == 8
-    assert workers(measured(1.0, 8, 7.5)) == 1  # it uses all cores itself
-    assert "about 28 min here with --workers 2" in advice(measured(1.67, 2, 1.67))[-1]
+def test_views_types_and_wrong_images() -> None:
+    images = iter([[np.zeros((4, 6), np.uint8), np.ones((2, 3, 4), np.float32)], None, "no.png"])
+    facts = check(lambda x: next(images, np.zeros((4, 6, 5))), 1, workers=0)
+    assert facts.shapes == [((4, 6, 1), (2, 3, 4))] and facts.kinds == ["uint8", "float32"]
+    assert facts.images == 1 and facts.failed == facts.renders - 1
 
 
 def test_points_that_violate_constraints_are_not_rendered() -> None:

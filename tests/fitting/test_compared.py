@@ -10,7 +10,8 @@ import pytest
 from PIL import Image
 
 from fide_plugins import fit, load_run
-from fide_plugins.recording import figures
+from fide_plugins.recording import figures, plots
+from fide_plugins.recording.figures import Panel
 
 _V, _U = np.mgrid[0:24, 0:24] / 23
 PHOTO = np.stack([0.2 + 0.5 * _U, 0.3 + 0.3 * _V, 0.6 - 0.3 * _U], axis=-1)
@@ -40,14 +41,14 @@ def rgba(x: Any) -> Any:
 def test_what_a_render_does_not_cover_is_the_target_in_all_pictures(
     render: Any, options: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    drawn: list[figures.Panel] = []
+    drawn: list[Panel] = []
     draw = figures.draw_image
 
-    def note(axes: Any, panel: figures.Panel) -> None:
+    def note(axes: Any, panel: Panel) -> None:
         drawn.append(panel)
         draw(axes, panel)
 
-    monkeypatch.setattr(figures, "draw_image", note)
+    monkeypatch.setattr(plots, "draw_image", note)
     result = fit(
         render, PHOTO, 2, budget=60, workers=0, seed=0, out=tmp_path / "run", until="budget",
         **options,

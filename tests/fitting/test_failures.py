@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import os
 import pickle
 import shlex
-import subprocess
 import sys
 import tempfile
 import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -21,11 +19,10 @@ import numpy as np
 import pytest
 
 from fide_plugins import Float, Space, fit
-from fide_plugins.errors import OptionError, RenderError
+from fide_plugins.errors import RenderError
 from fide_plugins.fitting.failures import (
     CallbackError,
     EvaluationError,
-    Failure,
     FitError,
     GivenUpError,
     RenderFailedWarning,
@@ -108,21 +105,6 @@ def test_bytes_of_a_thread_are_no_pickle(tmp_path: Path) -> None:
     assert harm.exists()
 
 
-def test_it_gives_up_with_a_run_directory_too(tmp_path: Path) -> None:
-    def render(params: dict[str, float]) -> Any:
-        raise OSError("no scene.pov")
-
-    with pytest.warns(RenderFailedWarning), pytest.raises(GivenUpError):
-        fit(render, target(), SPACE, workers=0, seed=0, out=tmp_path / "out")
-    assert json.loads((tmp_path / "out/run.json").read_text())["state"] == "failed"
-
-
-def test_a_wrong_argument_claims_no_directory(tmp_path: Path) -> None:
-    with pytest.raises(OptionError, match="leave out executor"):
-        fit(disk(), target(), SPACE, workers=0, executor="threads", out=tmp_path / "out")
-    assert not (tmp_path / "out").exists()
-
-
 def test_it_gives_up_when_the_first_ones_all_fail() -> None:
     def render(params: dict[str, float]) -> Any:
         raise OSError("no scene.pov")
@@ -196,61 +178,6 @@ def test_a_killed_worker_leaves_no_files(tmp_path: Path, monkeypatch: pytest.Mon
     assert not list((tmp_path / "files").iterdir())
 
 
-HANGS = """
-import itertools, threading
-import numpy as np
-from fide_plugins import fit
-
-number = itertools.count()
-
-def render(x):
-    if next(number) == 4:
-        threading.Event().wait()
-    return np.full((8, 8), x.mean())
-
-result = fit(render, np.zeros((8, 8)), 3, budget=9, workers=3, executor="threads", timeout=2,
-             seed=0)
-print(result.evaluations, result.failures, threading.active_count() > 1)
-"""
-
-
-@pytest.mark.thorough
-def test_a_thread_that_hangs_does_not_keep_the_script_alive() -> None:
-    command = [sys.executable, "-W", "ignore", "-c", HANGS]
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
-    assert ended.stdout.split() == ["9", "1", "True"], ended.stderr
-    assert ended.returncode == 0
-
-
-PROGRAM = """
-import os, sys, threading, time
-from pathlib import Path
-from fide_plugins.renderers import child
-
-sleeps = "import os, time; print(os.getpid(), flush=True); time.sleep(600)"
-command = [sys.executable, "-I", "-S", "-c", sleeps]
-log = Path(sys.argv[1])
-
-def render():
-    while True:  # when the first one was stopped, it starts another
-        child.run(command, log, 300)
-
-threading.Thread(target=render, daemon=True).start()
-while not log.exists() or not log.read_text().strip():
-    time.sleep(0.01)
-print(log.read_text())
-"""
-
-
-@pytest.mark.skipif(os.name != "posix", reason="process groups")
-def test_a_program_that_a_thread_waits_for_ends_with_the_script(
-    tmp_path: Path, ends: Callable[[int], bool]
-) -> None:
-    command = [sys.executable, "-c", PROGRAM, str(tmp_path / "log")]
-    script = subprocess.run(command, stdout=subprocess.PIPE, timeout=120, check=True)
-    assert ends(int(script.stdout))
-
-
 def gated(gate: Path) -> Callable[[Any], Any]:
     """Function that waits until a file is there."""
     name = str(gate)
@@ -285,32 +212,6 @@ def test_waiting_in_the_queue_of_an_executor_is_no_time_of_a_render(
         assert isinstance(workers.outcome(first), Rendered)
         late = workers.began(last)
         assert late is not None and late >= opened
-
-
-def test_an_executor_whose_workers_all_hang_is_given_up(tmp_path: Path) -> None:
-    render = gated(tmp_path / "gate")
-    with ThreadPoolExecutor(2) as executor:
-        arguments: dict[str, Any] = {"workers": 8, "executor": executor, "timeout": 0.1}
-        with pytest.warns(RenderFailedWarning), pytest.raises(GivenUpError, match="first 8"):
-            fit(render, target(), SPACE, seed=0, **arguments)
-        (tmp_path / "gate").touch()
-
-
-class Endless(Executor):
-    """Executor that tells nothing of what runs; no future of it ends."""
-
-    def submit(self, *_: Any, **__: Any) -> Any:
-        """Begin, and never end."""
-        return Future()
-
-
-def test_workers_that_all_hang_are_not_waited_for_beyond_the_time() -> None:
-    began = time.monotonic()
-    arguments: dict[str, Any] = {"workers": 2, "executor": Endless(), "timeout": 0.2, "time": 1}
-    with pytest.warns(RenderFailedWarning, match="no result within timeout=0.2 seconds"):
-        result = fit(disk(), target(), SPACE, seed=0, **arguments)
-    assert time.monotonic() - began < 15  # a worker that has died has half a minute to return
-    assert (result.stopped, result.evaluations, result.failures) == ("time", 0, 2)
 
 
 def test_an_exception_of_a_callback_loses_nothing() -> None:
@@ -375,10 +276,3 @@ def test_a_traceback_is_shown_once() -> None:
     failure = given_up.value.result.first_failure
     assert failure is not None and f"render({failure.params})" in str(given_up.value)
     assert failure.details in str(told[0].message)
-
-
-def test_the_reason_of_a_program_or_a_file_is_its_last_line() -> None:
-    details = "with the parameters x=1\nFile scene.py, line 2\nValueError: no paint"
-    failure = Failure({"x": 1}, "render in scene.py raised an exception", details, True)
-    assert failure.brief == "render in scene.py raised an exception: ValueError: no paint"
-    assert Failure({"x": 1}, "it died").brief == "it died\nrender({'x': 1})"

@@ -15,7 +15,6 @@ import torch
 from fide_plugins import FIDE, Float, Space, fit
 from fide_plugins.fitting.callbacks import Event
 from fide_plugins.fitting.failures import RenderFailedWarning
-from fide_plugins.fitting.rendering import Failed, Rendered, Renderer
 
 GRAY = Space(gray=Float(0, 1))
 TARGET = np.full((8, 8), 0.4)
@@ -128,23 +127,3 @@ def test_a_half_written_file_is_a_failed_render(opened: bool, tmp_path: Path) ->
     with pytest.warns(RenderFailedWarning, match="truncated"):
         result = fit(render, TARGET, GRAY, budget=40, workers=0, seed=0, sigma0=0.3, until="budget")
     assert result.evaluations == 40 and result.failures > 0
-
-
-def test_a_file_that_changes_after_its_render_harms_nothing(tmp_path: Path) -> None:
-    render = one_file(tmp_path)
-
-    def spoil(event: Event) -> None:
-        for file in tmp_path.iterdir():
-            file.write_bytes(b"")
-
-    spoiled = Renderer(render, GRAY)(np.array([0.4]))
-    assert isinstance(spoiled, Rendered)
-    result = fit(render, TARGET, GRAY, budget=9, workers=0, seed=0, callbacks=spoil)
-    assert result.evaluations == 9 and result.failures == 0
-    np.testing.assert_array_equal(spoiled.image, np.full((8, 8, 3), 102))
-
-
-def test_a_missing_file_is_named() -> None:
-    outcome = Renderer(lambda p: "nowhere/image.png", GRAY)(np.array([0.4]))
-    assert isinstance(outcome, Failed)
-    assert "no image that fits: no image file at 'nowhere/image.png'" in outcome.reason

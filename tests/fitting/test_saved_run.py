@@ -17,12 +17,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fide_plugins import Choice, Float, Space, fit
+from fide_plugins import fit
 from fide_plugins.errors import CheckpointError, FideError
 from fide_plugins.fitting.fitting import FitInterrupted
 from fide_plugins.fitting.result import Result
 from fide_plugins.recording.storage import RunDirectoryError
-from fide_plugins.types import Float32, Float64
+from fide_plugins.types import Float32
 
 from .scene import SPACE, disk, target
 
@@ -62,21 +62,6 @@ def test_a_larger_budget_goes_on_where_the_smaller_one_stopped(
     assert same(again, whole)  # nothing was left to be done
 
 
-def test_time_of_rendering_is_known_without_workers(tmp_path: Path) -> None:
-    spent: list[float] = []
-
-    def render(params: dict[str, float]) -> Any:
-        start = time.perf_counter()
-        time.sleep(0.01)
-        image = disk()(params)
-        spent.append(time.perf_counter() - start)
-        return image
-
-    fit(render, target(), SPACE, budget=20, workers=0, seed=5, out=tmp_path)
-    totals = json.loads((tmp_path / "run.json").read_text())["totals"]
-    assert sum(spent) <= totals["render_s"] <= totals["wall_s"]
-
-
 def test_ctrl_c_saves_and_the_rest_is_that_of_the_uninterrupted_fit(
     whole: Result, tmp_path: Path
 ) -> None:
@@ -107,49 +92,6 @@ def test_a_failed_fit_is_saved_too(whole: Result, tmp_path: Path) -> None:
         fit(disk(), target(), SPACE, callbacks=callback, **arguments)
     assert json.loads((tmp_path / "run.json").read_text())["state"] == "failed"
     assert same(fit(disk(), target(), SPACE, resume=True, **arguments), whole)
-
-
-def test_another_mask_or_target_is_named_without_its_digest(tmp_path: Path) -> None:
-    mask = np.eye(len(target()))
-    arguments: dict[str, Any] = {"budget": 5, "workers": 0, "seed": 5, "out": tmp_path}
-    fit(disk(), target(), SPACE, mask=mask, **arguments)
-    for given in (None, mask[::-1]):
-        with pytest.raises(
-            RunDirectoryError, match="settings: the mask or the weights differ; use"
-        ):
-            fit(disk(), target(), SPACE, mask=given, resume=True, **arguments)
-    with pytest.raises(
-        RunDirectoryError,
-        match="settings: the target is another one; undo the edit, or begin anew with one that a "
-        "file has; use",
-    ):
-        fit(disk(), 0.9 * target(), SPACE, mask=mask, resume=True, **arguments)
-
-
-def test_numpy_numbers_may_be_the_values_of_a_choice(tmp_path: Path) -> None:
-    def render(params: dict[str, Any]) -> Any:
-        return np.full((8, 8), params["x"] * params["n"] / 2)
-
-    space = Space(x=Float(0, 1), n=Choice(*np.arange(3)))
-    arguments: dict[str, Any] = {"workers": 0, "seed": 5, "out": tmp_path, "until": "budget"}
-    result = fit(render, np.full((8, 8), 0.5), space, budget=30, **arguments)
-    again = fit(render, np.full((8, 8), 0.5), space, budget=40, resume=True, **arguments)
-    assert result.params is not None and result.params["n"] > 0 and again.evaluations == 40
-    assert Space.from_toml(space.to_toml()) == Space(x=Float(0, 1), n=Choice(0, 1, 2))
-
-
-def test_a_loss_of_one_s_own_is_given_again(tmp_path: Path) -> None:
-    picture = np.repeat(target()[..., None], 3, axis=-1)
-
-    def loss(images: Float32) -> Float64:
-        return np.asarray(np.abs(images - picture).mean(axis=(1, 2, 3)), np.float64)
-
-    arguments: dict[str, Any] = {"workers": 0, "seed": 5, "loss": loss}
-    expected = fit(disk(), target(), SPACE, budget=40, **arguments)
-    fit(disk(), target(), SPACE, budget=20, out=tmp_path, **arguments)
-    assert same(
-        fit(disk(), target(), SPACE, budget=40, out=tmp_path, resume=True, **arguments), expected
-    )
 
 
 def means(size: int) -> Callable[[Float32], Any]:

@@ -10,10 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fide_plugins import FIDE, Float, Space, fit
-from fide_plugins.errors import OptionError
-from fide_plugins.fitting.result import Result
-from fide_plugins.fitting.stopping import Stopping
+from fide_plugins import Float, Space, fit
 from fide_plugins.types import Float64
 
 V, U = np.mgrid[0:48, 0:48] / 47
@@ -95,30 +92,6 @@ def test_a_perfect_fit_to_a_picture_of_8_bits_is_solved(gray: float) -> None:
     assert (result.stopped, result.evaluations) == ("solved", 1)
 
 
-def test_a_fit_is_settled_when_a_generation_is_as_good_as_noise_of_the_target_allows() -> None:
-    """As many of its losses exceed the lowest one by at most 3 of 2,304, and not sooner."""
-    noise = np.random.default_rng(0).normal(0, 0.03, (48, 48))
-    opt = FIDE(SPACE, np.clip(draw(TRUTH) + noise, 0, 1), loss="mse", seed=0)
-    clean = np.repeat(draw(TRUTH)[..., None], 3, axis=-1).astype(np.float32)
-    for _ in range(2):
-        opt.state.grain.note(clean)  # the renderer has no noise
-    losses: list[float] = []
-    codes: list[str] = []
-    stopped = None
-    while stopped is None and len(losses) < 1500:
-        X = opt.ask()
-        losses += opt.tell(X, [draw(p) for p in SPACE.decode_many(X)]).tolist()
-        codes.append(opt.status.code)
-        stopped = Stopping(None).reached(losses, 0.0, min(losses), True, opt)
-
-    def as_good(n: int) -> int:
-        return sum(loss <= min(losses[:n]) * (1 + 3 / 48**2) for loss in losses[:n])
-
-    assert stopped == "noise" and codes.count("noise") > 1, "noise alone is no reason"
-    n = len(losses)
-    assert as_good(n) >= opt.popsize > as_good(n - opt.popsize)
-
-
 def test_noise_of_the_renderer_ends_a_fit_only_if_told() -> None:
     """It is averaged: more renders tell more."""
 
@@ -133,44 +106,3 @@ def test_noise_of_the_renderer_ends_a_fit_only_if_told() -> None:
 
     assert stopped("solved") == ("budget", "noise")
     assert stopped("stalled") == ("stalled", "noise")
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize(("width", "peak"), [(0.01, 0.3), (0.03, 0.12)])
-def test_a_fit_to_a_noisy_picture_goes_on_while_a_spot_is_missing(
-    width: float, peak: float
-) -> None:
-    """That the eye sees: it stands out of noise of 0.05 by its peak or by its size."""
-    v, u = np.mgrid[0:64, 0:64] / 63
-    truth = {**TRUTH, "a": peak, "u": 0.2, "v": 0.75}
-    space = Space(**DISK, a=Float(0, 0.5), u=Float(0, 1), v=Float(0, 1))
-
-    def scene(p: Mapping[str, float]) -> Float64:
-        disk = 0.1 + 0.5 / (1 + np.exp(30 * (np.hypot(u - p["x"], v - p["y"]) - p["r"])))
-        squares = (u - p["u"]) ** 2 + (v - p["v"]) ** 2
-        image = disk + p["a"] * np.exp(-squares / (2 * width**2))
-        return np.asarray(np.clip(image, 0, 1), np.float64)
-
-    early = 0
-    for seed in range(4):
-        noise = np.random.default_rng(seed).normal(0, 0.05, (64, 64))
-        target = np.clip(scene(truth) + noise, 0, 1)
-        result = fit(scene, target, space, budget=700, workers=0, seed=seed)
-        missed = max(abs(result.params[name] - truth[name]) for name in "uv") > 0.03
-        early += missed and result.stopped == "noise"
-    assert early <= 1
-
-
-def test_a_picture_that_cannot_be_drawn_is_not_solved_and_no_noise() -> None:
-    result = fit(draw, np.maximum(draw(TRUTH), 0.2), SPACE, budget=250, **HERE)
-    assert result.stopped == "budget" and result.status.code not in ("solved", "noise")
-
-
-def test_wrong_rules() -> None:
-    def few(**rules: Any) -> Result:
-        return fit(draw, draw(TRUTH), SPACE, **rules, **HERE)
-
-    with pytest.raises(OptionError, match="until must be 'solved', 'stalled', 'budget', not 'sol"):
-        few(until="sol")
-    with pytest.raises(OptionError, match="give time or until='stalled'"):
-        few(budget=None)

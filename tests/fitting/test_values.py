@@ -92,8 +92,8 @@ def test_bytes_of_0_and_1_are_named() -> None:
 @pytest.mark.parametrize("values", [(0, 255), "auto"])
 def test_floats_for_bytes_are_named_with_a_value_range(values: Any) -> None:
     target = (255 * draw(AT)).astype(np.uint8)
-    options: dict[str, Any] = {"budget": 20, "workers": 0, "seed": 1, "value_range": values}
-    with pytest.warns(RuntimeWarning, match=r"all renders.*return 255 \* image"):
+    options: dict[str, Any] = {"budget": 100, "workers": 0, "seed": 1, "value_range": values}
+    with pytest.warns(RuntimeWarning, match=r"times as bright.*return 255 \* image"):
         fit(draw, target, SPACE, **options)
     with warnings.catch_warnings():
         warnings.simplefilter("error")

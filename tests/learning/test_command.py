@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import re
 import signal
@@ -13,8 +12,8 @@ from typing import Any
 import pytest
 from PIL import Image
 
-from fide_plugins.cli import learn_command, main
-from fide_plugins.learning import Model, judging as calibration
+from fide_plugins.cli import main
+from fide_plugins.learning import Model
 
 SCENE = """
 import numpy as np
@@ -54,56 +53,6 @@ def test_a_function_is_learned_and_the_model_is_used(capsys: pytest.CaptureFixtu
     assert json.loads(capsys.readouterr().out)["best_loss"] < 0.01
 
 
-def test_a_call_whose_renders_were_all_equal_leaves_its_name_free(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    dark = Path("dark")
-    dark.touch()
-    off = "if __import__('os').path.exists('dark'): params = {'left': 0, 'right': 0}\n    return "
-    Path("gradient.py").write_text(SCENE.replace("return ", off))
-    words = ("learn", "gradient.py:render", "--size", 16, "--out", "m.fide", "--passes", 1)
-    assert fide(*words, "--renders", 100) == 1
-    assert "are all equal" in capsys.readouterr().err.replace("\n", " ")
-    dark.unlink()
-    assert fide(*words, "--renders", 100) == 0
-
-
-def test_lines_of_what_is_done_after_training(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("fide_plugins.cli.progress._EVERY", 0.0)
-    monkeypatch.setattr(calibration, "ENOUGH", 2)  # held-out renders: every 50th
-    Path("gradient.py").write_text(SCENE)
-    words = ("learn", "gradient.py:render", "--size", 16, "--out", "m.fide", "--passes", 1)
-    assert fide(*words, "--renders", 200) == 0
-    lines = capsys.readouterr().err.splitlines()
-    assert lines[:2] == ["renders 100/200", "renders 200/200"]
-    assert lines[3:5] == ["calibrating 1/18 at most", "calibrating 2/18 at most"]
-    assert lines[-2:] == ["judging 1/2", "judging 2/2"]
-
-
-def test_head_and_groups_are_those_of_the_command() -> None:
-    Path("gradient.py").write_text(SCENE)
-    words = ("learn", "gradient.py:render", "--size", 16, "--passes", 1, "--renders", 100)
-    assert fide(*words, "--out", "m.fide", "--head", "mixture") == 0
-    assert (Model.load("m.fide").head, Model.load("m.fide").blocks) == ("mixture", ())
-    assert fide(*words, "--out", "s.fide", "--groups", "[[0],[1]]", "--version", "2") == 0
-    model = Model.load("s.fide")
-    assert (model.head, model.blocks, model.version) == ("set", ((0,), (1,)), "2")
-    voronoi = ("learn", "voronoi", "--task-set", "cells=2", *words[2:])
-    assert fide(*voronoi, "--out", "v.fide", "--groups", "[]") == 0
-    assert Model.load("v.fide").blocks == ()
-
-
-def test_all_heads_can_be_chosen() -> None:
-    from fide_plugins.learning.networks import HEADS
-
-    parser = argparse.ArgumentParser()
-    learn_command.add_arguments(parser)
-    (head,) = (action for action in parser._actions if action.dest == "head")
-    assert sorted(head.choices or ()) == sorted(HEADS)
-
-
 def test_a_task_is_learned(capsys: pytest.CaptureFixture[str]) -> None:
     scene = ("learn", "voronoi", "--task-set", "cells=2", "--size", 16, "--passes", 1)
     words = (*scene, "--render-size", 32, "--renders", 100, "--out", "v.fide")
@@ -112,7 +61,7 @@ def test_a_task_is_learned(capsys: pytest.CaptureFixture[str]) -> None:
     model = Model.load("v.fide")
     assert (model.shape, model.size) == ((32, 32), (16, 16))
     assert model.emulator is not None
-    assert model.head == "set" and model.blocks == ((0, 1, 2, 3, 4), (5, 6, 7, 8, 9))
+    assert model.blocks == ((0, 1, 2, 3, 4), (5, 6, 7, 8, 9))
     assert fide("run", "voronoi", "--task-set", "cells=3", "--learned", "v.fide") == 2
     assert "has 10 parameters, and the optimizer 15" in capsys.readouterr().err
     assert fide(*words, "--resume", "--no-emulator") == 0
@@ -132,12 +81,8 @@ def test_a_task_is_learned(capsys: pytest.CaptureFixture[str]) -> None:
         (("voronoi", "--groups", "0,1"), "a list such as [[0,1],[2,3]], or [], not '0,1'"),
         (("voronoi", "--groups", "[[0,1]"), "a value in brackets is a list such as"),
         (("voronoi", "--groups", "[0,1]"), "groups must be at least two lists"),
-        (("voronoi", "--groups", "[]", "--head", "set"), "needs exchangeable blocks"),
         (("voronoi", "--groups", "[]", "--emulator"), "an emulator needs exchangeable blocks"),
         (("gradient.py:render", "--render-size", "32"), "--render-size is of built-in tasks"),
-        (("voronoi", "--head", "flow"), "invalid choice: 'flow'"),
-        (("voronoi", "--version", ""), "version is a text such as '2', or None, not ''"),
-        (("voronoi", "--store-limit", "0.0001"), "the limit is 0.0001 GiB: take fewer renders"),
     ],
 )
 def test_wrong_usage_is_one_line(

@@ -48,7 +48,7 @@ def trained(seed: int = 0) -> Emulator:
 @pytest.mark.slow
 def test_descents_find_angles_across_their_ends_and_numbers() -> None:
     """Six lamps of three pictures; other seeds: 5 or 6 numbers, a median of 1 to 4 degrees."""
-    emulator, match = trained(), Distance(SPACE.periodic, SPACE.largest_family).matched
+    emulator, match = trained(), Distance(SPACE.periodic.tolist(), SPACE.largest_family).matched
     right, apart = [], []
     for seed, turn in enumerate((0.003, 0.5, 0.996)):
         rng = np.random.default_rng((1, seed))

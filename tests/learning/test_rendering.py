@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import signal
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -17,11 +14,10 @@ import pytest
 import fide_tasks
 from fide_plugins.cli import main
 from fide_plugins.errors import OptionError, RenderError
-from fide_plugins.fitting.workers import DAEMON
 from fide_plugins.learning import LearnProgress, Model, learn, rendering
 from fide_plugins.learning.rendering import fill
 from fide_plugins.learning.renders import RenderStore, as_renderer
-from fide_plugins.runtime import machine as cluster_module
+from fide_plugins.runtime import checkpoint
 from fide_plugins.types import Float64
 
 SIDE = 16
@@ -71,27 +67,6 @@ def test_what_is_no_executor_is_refused_before_anything_is_rendered(tmp_path: Pa
     assert not list(tmp_path.iterdir())
 
 
-def refused_in_a_pool(out: Path) -> str:
-    """Why this process, which is daemonic, does not learn with workers; it does without."""
-    fill(store(out / "store"), as_renderer(plain, 2), 10, workers=1)
-    try:
-        learn(plain, 2, out=out / "m", workers=2)
-    except OptionError as error:
-        return str(error)
-    return ""
-
-
-@pytest.mark.thorough
-def test_a_process_that_may_start_no_other_is_told_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.syspath_prepend(Path(__file__).parents[2])  # where the new process finds `tests`
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
-        said = pool.map(refused_in_a_pool, [tmp_path])[0]
-    assert said == f"{DAEMON}; give workers=0"
-    assert [path.name for path in tmp_path.iterdir()] == ["store"]
-
-
 distributed = pytest.importorskip("distributed", reason="needs the extra dask")
 
 SCENE = """
@@ -130,6 +105,14 @@ def client(cluster: Any) -> Iterator[Any]:
         yield client
 
 
+def stored(model: Path, renders: int) -> Any:
+    """Parameters and images beside a model."""
+    folder = Path(f"{model}.renders")
+    there = checkpoint.read(folder / "settings", "renders")
+    del there["fingerprint"]
+    return RenderStore(folder, there).read(renders)
+
+
 def store_in(folder: Path, dim: int = 2) -> RenderStore:
     return RenderStore(folder, {"dim": dim, "size": [SIDE, SIDE], "seed": 0, "renderer": "r"})
 
@@ -151,50 +134,9 @@ def test_a_cluster_renders_the_same_and_goes_on(client: Any, tmp_path: Path) -> 
     learn(task, out=there, executor=client, **arguments)
     learn(task, out=tmp_path / "here", **arguments)
     assert all(path.stat().st_mtime_ns == when for path, when in kept.items())
-    stores = (RenderStore.open(tmp_path / f"{name}.renders") for name in ("there", "here"))
-    for one, two in zip(*(store.read_all() for store in stores), strict=True):
+    for one, two in zip(*(stored(tmp_path / name, 400) for name in ("there", "here")), strict=True):
         np.testing.assert_array_equal(one, two)
     assert client.submit(int, "7").result() == 7  # it is the caller's
-
-
-@pytest.mark.skipif(os.name == "nt", reason="signals")
-def test_a_lost_worker_costs_the_shard_it_rendered(client: Any, tmp_path: Path) -> None:
-    side, mark, calls = SIDE, str(tmp_path / "killed"), str(tmp_path / "calls")
-
-    def once_deadly(x: Float64) -> Float64:
-        with open(calls, "a") as file:
-            file.write(".")
-        if x[0] > 0.5:
-            try:
-                open(mark, "x").close()
-            except FileExistsError:
-                pass
-            else:
-                os.kill(os.getpid(), signal.SIGKILL)
-        return np.outer(np.linspace(0, x[0], side), np.linspace(0, x[1], side))
-
-    kept = store_in(tmp_path / "there")
-    fill(kept, as_renderer(once_deadly, 2), 600, executor=client, workers=2)
-    assert Path(mark).exists() and len(kept.read(600)[0]) == 600
-    assert 600 < len(Path(calls).read_text()) <= 600 + 2 * 100
-
-
-@pytest.mark.thorough
-@pytest.mark.skipif(os.name == "nt", reason="signals")
-def test_a_render_that_ends_every_worker_is_one_that_failed(client: Any, tmp_path: Path) -> None:
-    """With a worker what it had rendered is lost, too: nothing else may be counted as failed."""
-    made = store_in(tmp_path)
-    x = np.concatenate([made.parameters(shard) for shard in range(2)])
-    side, worst = SIDE, float(np.sort(x[:, 0])[1])  # of two
-
-    def deadly(x: Float64) -> Float64:
-        if x[0] <= worst:
-            os.kill(os.getpid(), signal.SIGKILL)
-        return np.outer(np.linspace(0, x[0], side), np.linspace(0, x[1], side))
-
-    fill(made, as_renderer(deadly, 2), 200, executor=client, workers=4)
-    assert sum(made.failed(200).values()) == 2
-    np.testing.assert_array_equal(made.read(200)[0], x[x[:, 0] > worst])
 
 
 def test_a_lost_scheduler_is_said_and_what_was_rendered_is_kept(
@@ -207,7 +149,7 @@ def test_a_lost_scheduler_is_said_and_what_was_rendered_is_kept(
     )
     with cluster, distributed.Client(cluster, timeout=1, set_as_default=False) as client:
         made = store_in(tmp_path, 10)
-        with pytest.raises(RenderError, match="the scheduler of the Dask cluster is lost"):
+        with pytest.raises(RenderError, match="cluster is lost: start it|start the cluster again"):
             fill(
                 made,
                 as_renderer(task, None),
@@ -231,20 +173,9 @@ def test_the_command_learns_on_a_cluster(
     assert main([*words, "--renders", "200", "--dask", cluster.scheduler_address]) == 0
     assert Model.load("m.fide").report.renders == 196
     assert main([*words, "--renders", "300", "--resume", "--workers", "1"]) == 0
-    x, images = RenderStore.open("m.fide.renders").read(300)
+    x, images = stored(Path("m.fide"), 300)
     expected = np.rint(255 * (x[:, :1] + (x[:, 1:] - x[:, :1]) * np.linspace(0, 1, 16)))
     assert np.abs(images[:, 0, :, 0] - expected).max() <= 1
     capsys.readouterr()
     assert main([*words, "--workers", "2", "--dask", cluster.scheduler_address]) == 2
     assert "not allowed with" in capsys.readouterr().err
-
-
-def test_clusters_that_cannot_be_used_are_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(cluster_module, "_TIMEOUT", 0.3)
-    words = ["learn", "voronoi", "--out", "m.fide", "--dask"]
-    assert main([*words, "tcp://127.0.0.1:9"]) == 2
-    assert "no Dask scheduler answers at tcp://127.0.0.1:9" in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())

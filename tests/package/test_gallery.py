@@ -49,11 +49,6 @@ def test_every_picture_of_the_gallery_is_shown_by_its_example() -> None:
         assert f"images/gallery/{file.name}" in section(file.stem)
 
 
-def test_every_example_of_the_gallery_is_in_the_list_of_examples() -> None:
-    listed = (EXAMPLES / "README.md").read_text("utf-8")
-    assert [name for name in PROGRAMS if f"`{name}.py`" not in listed] == []
-
-
 def other(kind: Any, value: Any) -> Any:
     """Another value of a parameter, within its range."""
     if isinstance(kind, Choice):
@@ -74,20 +69,3 @@ def test_every_parameter_changes_the_picture(name: str) -> None:
         changed = {**module.TRUTH, parameter: other(kind, module.TRUTH[parameter])}
         difference = np.abs(np.asarray(module.render(changed), float) - true)
         assert difference.max() > 0.05 * true.max(), parameter
-
-
-def test_the_part_has_the_volume_that_its_lengths_say() -> None:
-    pytest.importorskip("trimesh")
-    pytest.importorskip("manifold3d")
-    module = load("part")
-    p = {**module.TRUTH, "key_depth": 0.0, "key_width": 0.1}  # no key to speak of
-    mesh = module.flange(p)
-
-    def area(diameter: float) -> float:  # of the polygon with 64 corners that stands for a circle
-        return 64 / 2 * (diameter / 2) ** 2 * float(np.sin(2 * np.pi / 64))
-
-    drilled = area(p["hole"]) * (p["plate"] - p["counterbore_depth"])
-    drilled += area(p["counterbore"]) * p["counterbore_depth"]
-    ring = area(p["hub"]) * (p["height"] - p["plate"]) - area(p["bore"]) * p["height"]
-    volume = area(p["outer"]) * p["plate"] + ring - p["holes"] * drilled
-    assert mesh.is_watertight and mesh.volume == pytest.approx(volume, rel=1e-5)

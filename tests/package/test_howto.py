@@ -22,7 +22,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fide_plugins import Choice, Float, Int, Space
 from fide_plugins.cli import main, module_of
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -169,12 +168,6 @@ def test_the_code_of_the_page_runs(page: Path, folder: Path) -> None:
     assert check is None or check(names)
 
 
-def test_a_page_that_starts_workers_of_dask_is_a_script() -> None:
-    """They import it; without the guard each of them would start workers in turn, and fails."""
-    found = [b.code for page in PAGES for b in blocks_of(page) if "n_workers=" in b.code]
-    assert found and all('if __name__ == "__main__":\n    client = ' in code for code in found)
-
-
 @pytest.mark.parametrize("page", HOWTO, ids=lambda page: page.stem)
 def test_the_page_begins_with_its_answer(page: Path) -> None:
     title, _, first, *_ = page.read_text("utf-8").split("\n")
@@ -194,14 +187,3 @@ def test_blocks_are_short(page: Path) -> None:
 def test_every_page_is_on_the_front_page_of_its_part() -> None:
     listed = (DOCS / "howto" / "index.md").read_text("utf-8")
     assert [p.stem for p in HOWTO if f"({p.name})" not in listed] == []
-
-
-def test_the_kinds_of_a_program_s_parameters_are_tables_that_a_space_reads(tmp_path: Path) -> None:
-    rows = re.findall(
-        r"^\| .* \| (`type = .*`) \|$", (DOCS / "howto" / "program.md").read_text(), re.M
-    )
-    lines = [["[p]", *re.findall(r"`(.*?)`", row)] for row in rows]
-    for number, text in enumerate(lines):
-        (tmp_path / f"{number}.toml").write_text("\n".join(text), "utf-8")
-    read = [Space.read(tmp_path / f"{n}.toml").parameters["p"] for n in range(len(lines))]
-    assert read == [Float(0.001, 0.1, log=True), Int(3, 8), Choice("wood", "stone")]

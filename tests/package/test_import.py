@@ -41,28 +41,5 @@ def test_submodules_are_loaded_on_demand() -> None:
         _ = fide_plugins.nothing  # type: ignore[attr-defined]
 
 
-def test_the_error_of_missing_weights_is_found_where_weights_are_read() -> None:
-    error = fide_plugins.errors.WeightsNotFoundError
-    for where in (fide_plugins, fide_plugins.encoders, fide_plugins.losses):
-        assert where.WeightsNotFoundError is error
-        assert "WeightsNotFoundError" in where.__all__
-
-
-SUBMODULES_FIRST = """
-import importlib, pkgutil, types
-import fide_plugins.learning
-for module in pkgutil.iter_modules(fide_plugins.learning.__path__, "fide_plugins.learning."):
-    importlib.import_module(module.name)
-from fide_plugins.learning import LearnProgress, Model, Report, learn
-import fide_plugins
-assert isinstance(learn, types.FunctionType) and fide_plugins.learn is learn
-"""
-
-
-@pytest.mark.thorough
-def test_no_submodule_hides_what_its_package_exports() -> None:
-    subprocess.run([sys.executable, "-c", SUBMODULES_FIRST], check=True)
-
-
 def test_version() -> None:
     assert fide_plugins.__version__ == importlib.metadata.version("fide-plugins")

@@ -130,38 +130,6 @@ def cycle(graph: Mapping[str, Collection[str]]) -> list[str]:
     return []
 
 
-def test_imports_are_found() -> None:
-    source = """
-from __future__ import annotations
-import numpy, fide_plugins.space.kinds
-from fide_plugins import losses as losses_module, __version__
-from ..runtime import files
-from .views import View
-if TYPE_CHECKING:
-    from fide_plugins.fide import FIDE
-def f():
-    from fide_plugins.search.one_search import Search
-"""
-    found = list(imports(source, "views.__init__"))
-    assert found == [
-        "space.kinds", "losses", "__version__", "runtime.files", "views.views.View",
-        "search.one_search.Search",
-    ]  # fmt: skip
-
-
-def test_what_an_import_loads() -> None:
-    known = {"space.__init__", "space.kinds", "space.group", "errors"}
-    assert list(loaded("space.kinds.Int", "errors", known)) == ["space.kinds", "space.__init__"]
-    assert list(loaded("space.kinds", "space.group", known)) == ["space.kinds"]
-    assert list(loaded("space.Int", "space.group", known)) == ["space.__init__"]
-    assert list(loaded("__version__", "errors", known)) == []
-
-
-def test_a_cycle_is_found() -> None:
-    assert cycle({"a": {"b"}, "b": {"c"}, "c": set()}) == []
-    assert set(cycle({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}})) == {"a", "b", "c"}
-
-
 def test_every_package_has_its_row() -> None:
     assert {module.split(".")[0] for module, _ in modules()} == set(ROW)
 

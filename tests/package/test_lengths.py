@@ -25,29 +25,6 @@ def _lines(node: ast.stmt) -> int:
     return node.end_lineno - node.lineno + 1
 
 
-def test_lines_are_counted() -> None:
-    source = '''
-class A:
-    @decorated
-    def with_docstring(
-        self,
-    ):
-        """One line.
-
-        Two more.
-        """
-
-        async def inner():
-            # a comment is a line, too
-            return 1
-
-        return inner
-
-def without(): return "text"
-'''
-    assert dict(lengths(source)) == {"with_docstring": 9, "inner": 3, "without": 1}
-
-
 @pytest.mark.parametrize("package", ["fide_plugins", "fide_adapters", "fide_lab", "fide_tasks"])
 def test_functions_stay_under_the_limit(package: str) -> None:
     spec = find_spec(package)

@@ -51,24 +51,6 @@ PRIVATE = set.union(
 )
 
 
-def test_the_names_are_found() -> None:
-    source = """
-class State:
-    _field: int = 0
-
-    def _method(self):
-        self._written, self.public = 1, 2
-        return self._read_only.x
-"""
-    assert private_names(source, "State") == {"_field", "_method", "_written"}
-    assert {"_enter_all", "_train", "_go_on", "_lock", "_keep"} <= PRIVATE
-
-
-def test_an_access_is_found() -> None:
-    source = "class A:\n  def f(self, o):\n    self._train()\n    o.fide._train()\n    o._lock = 1"
-    assert sorted(accesses(source, {"_train", "_lock"})) == [(4, "o.fide._train"), (5, "o._lock")]
-
-
 @pytest.mark.parametrize("folder", FOLDERS)
 def test_nobody_uses_what_is_private_to_an_optimizer_or_its_state(folder: str) -> None:
     paths = [path for path in (ROOT / folder).rglob("*.py") if path not in OWNERS.values()]

@@ -32,11 +32,6 @@ def test_the_readme_is_short_and_shows_python_early() -> None:
     assert words_before("\0") <= 800 and words_before("```python") < 250
 
 
-def test_both_commands_stand_at_the_top() -> None:
-    first = re.findall(r"^    (make \w+)", README.read_text("utf-8"), re.MULTILINE)[:2]
-    assert first == ["make demo", "make test"] and words_before("make test") < 60
-
-
 def test_the_film_stands_still_at_its_end() -> None:
     front = README.read_text("utf-8").partition("## ")[0]
     (path,) = re.findall(r"!\[.*?\]\((.*?)\)", front)

@@ -55,110 +55,10 @@ def test_nothing_is_loaded_from_elsewhere(check_site: ModuleType, tmp_path: Path
     assert len(check_site.broken(check_site.read(folder))) == 1
 
 
-def test_an_answer_that_is_three_clicks_away(check_site: ModuleType, tmp_path: Path) -> None:
-    folder = site(
-        tmp_path,
-        index='<a href="howto/index.html">x</a>',
-        howto__index='<a href="near.html">x</a>',
-        howto__near='<a href="far.html">x</a>',
-        howto__far="x",
-    )
-    (wrong,) = check_site.distant(check_site.read(folder), folder)
-    assert "far.html" in wrong
-
-
-def test_a_notebook_whose_figures_are_missing(check_site: ModuleType, tmp_path: Path) -> None:
-    cell = '<div class="cell_input docutils container">x</div>'
-    folder = site(tmp_path, bare=cell, shown=f'{cell}<img src="_images/x.png">', page="x")
-    (wrong,) = check_site.without_pictures(check_site.read(folder))
-    assert "bare.html" in wrong
-
-
-def test_lists_of_a_docstring() -> None:
-    lines = [
-        "x, y: places in [0, 1],",
-        "    in m.  size: in pixels.",
-        "a, b: of it.  c: of them.",
-        "",
-    ]
-    load("extensions/field_lists")._process(None, "", "", None, None, lines)
-    assert lines == [
-        "``x``, ``y``", "    places in [0, 1],", "    in m.  size: in pixels.",
-        "``a``, ``b``", "    of it.", "``c``", "    of them.", "",
-    ]  # fmt: skip
-    lines = [
-        "Parameters",
-        "----------",
-        "x",
-        "    a place",
-        "",
-        "Raises",
-        "------",
-        "ValueError",
-        "",
-    ]
-    load("extensions/field_lists")._process(None, "", "", None, None, lines)
-    assert lines == [
-        ".. rubric:: Parameters", "", "``x``", "    a place", "",
-        ".. rubric:: Raises", "", "ValueError", "",
-    ]  # fmt: skip
-    lines = ["Note: this is prose, and", "it goes on here.", ""]
-    before = list(lines)
-    load("extensions/field_lists")._process(None, "", "", None, None, lines)
-    assert lines == before
-
-
 def test_docstrings_of_public_names_say_parameters_and_errors() -> None:
     names = load("extensions/public_names")
     assert len(list(names.public())) > 100
     assert list(names.gaps()) == []
-
-
-def test_a_gap_of_a_docstring_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    names = load("extensions/public_names")
-
-    class Thing:
-        """A thing of a size."""
-
-        def __init__(self, size: int) -> None:
-            if size < 0:
-                raise ValueError("size must be >= 0")
-
-        def grow(self, much: int) -> None:
-            """Make it larger."""
-
-        def shrink(self, much: int) -> None:
-            """Make it smaller by so much; ValueError if that is more than there is."""
-            raise ValueError(much)
-
-        def forget(self) -> None: ...
-
-    monkeypatch.setattr(names, "public", lambda: [("x.Thing", Thing)])
-    assert list(names.gaps()) == [
-        "the docstring of x.Thing does not say that it raises ValueError",
-        "the docstring of x.Thing.grow does not name its parameter 'much'",
-        "x.Thing.forget has no docstring",
-    ]
-
-
-def test_a_class_says_itself_that_it_raises(monkeypatch: pytest.MonkeyPatch) -> None:
-    names = load("extensions/public_names")
-
-    class Base:
-        """Has no bad size; raises ValueError."""
-
-        __module__ = "fide_plugins.x"  # as if it were of this project
-
-    class Silent(Base):
-        """A base that is silent."""
-
-    class Clear(Silent):
-        """A base that is clear.  Raises ValueError."""
-
-    public = [("x.Base", Base), ("x.Silent", Silent), ("x.Clear", Clear)]
-    monkeypatch.setattr(names, "public", lambda: public)
-    gap = "the docstring of x.Silent does not say that it raises the errors of its bases"
-    assert list(names.gaps()) == [gap]
 
 
 REPORTS = sorted((ROOT / "lab" / "reports").glob("*.md"))
@@ -259,14 +159,6 @@ class TestBrowser:
     ) -> None:
         self.add(good, text)
         assert any(complaint in one for one in self.read(check, browser, good))
-
-    @pytest.mark.thorough
-    def test_a_film_that_stands_still(self, check: ModuleType, browser: Any, good: Path) -> None:
-        (good / "film.webp").write_bytes((good / "still.webp").read_bytes())
-        troubles = list(check.films(browser, good, wait=1000))
-        assert troubles == [
-            f"{n}.html: the film film.webp does not play" for n in ("index", "gallery")
-        ]
 
     def test_a_search_that_finds_nothing(self, check: ModuleType, browser: Any, good: Path) -> None:
         form = f'<form action="index.html"><input name="q"></form>{self.FOUND}'

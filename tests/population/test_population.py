@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from fide_plugins.population import Population, mirrored_pair, population as record
-from fide_plugins.population.candidate import CandidateRole
 from fide_plugins.types import Float64
 
 from .conftest import drawn, hand_out, index_of
@@ -73,14 +72,6 @@ def test_what_was_never_asked_or_told_twice_is_injected() -> None:
     assert index_of(population, not_handed_out, 1.0) is None
 
 
-def test_equal_candidates_are_told_apart_by_count() -> None:
-    population = Population()
-    same = np.array([0.25, 0.75])
-    population.draw(np.array([same, same]), np.zeros((2, 2)))
-    hand_out(population, 2)
-    assert [index_of(population, same, 1.0) for _ in range(3)] == [0, 1, None]
-
-
 def test_a_late_candidate_counts_in_the_generation_in_which_it_arrives() -> None:
     """Six workers, generations of four: two come back after the first is complete."""
     population = drawn(4)
@@ -103,17 +94,6 @@ def test_a_late_candidate_counts_in_the_generation_in_which_it_arrives() -> None
     assert [c.index for c in members] == [1, 3, 8, 9]
     assert [c.off_distribution for c in members] == [True, True, False, False]
     np.testing.assert_array_equal(losses, [9.0, 7.0, 6.0, 8.0])
-
-
-def test_after_a_restart_what_is_still_pending_becomes_injected() -> None:
-    population = drawn(4)
-    old = hand_out(population, 4)
-    population.forget_pending()
-    drawn(4, seed=1, population=population)
-    new = hand_out(population, 1)
-    assert index_of(population, old[0], 1.0) is None
-    assert index_of(population, new[0], 1.0) == 4
-    assert population.pending == 0  # those that never come back are not remembered for ever
 
 
 @pytest.mark.parametrize("told", [0, 2])
@@ -169,59 +149,12 @@ def awaited(population: Population, size: int) -> int:
     return population.awaited
 
 
-def test_of_a_point_that_is_out_twice_the_later_one_is_awaited() -> None:
-    """With integers and choices points come again."""
-    population, x = Population(), np.array([[0.1], [0.2]])
-    for row, index in ((0, 1), (1, 2), (0, 100), (0, 101)):
-        population.drawn = index
-        population.adopt(x[row], x[row])
-    assert population.take(x[0]) is not None and population.pending == 3
-    assert (awaited(population, 4), awaited(population, 100)) == (2, 3)
-    assert population.take(x[0]) is not None and population.take(x[0]) is not None
-    assert (awaited(population, 4), awaited(population, 100), population.pending) == (0, 1, 1)
-
-
-def test_a_spare_one_that_comes_back_leaves_the_others_awaited() -> None:
-    population, points = Population(), np.linspace(0, 1, 12)[:, None]
-    for index, point in enumerate([*points, points[0]]):
-        role = CandidateRole.MEMBER if index < 3 else CandidateRole.SPARE
-        population.adopt(point, point, role)
-    taken = population.take(points[0])
-    assert taken is not None and taken.index == 12
-    assert awaited(population, 3) == 9
-
-
 def test_what_comes_back_rounded_is_the_candidate_that_was_asked() -> None:
     population = drawn(4)
     [x] = hand_out(population, 1)
     candidate = population.record(x.astype(np.float32).astype(np.float64), 1.0)
     assert candidate is not None
     np.testing.assert_array_equal(candidate.x, x)
-
-
-def test_zero_may_come_back_with_a_sign() -> None:
-    population = Population()
-    x = np.array([[0.0, 0.5]])
-    population.draw(x, x)
-    population.hand_out()
-    assert index_of(population, np.array([-0.0, 0.5]), 1.0) == 0
-
-
-@pytest.mark.parametrize("asked", ["drawn for it", "asked at once"])
-def test_no_candidate_of_the_present_generation_is_given_up(asked: str) -> None:
-    """However many they are; a user may ask for more than a generation, too."""
-    n = 25_000
-    population, size = Population(), n if asked == "drawn for it" else 10
-    x = np.linspace(0, 1, n)[:, None]
-    rows = np.split(x, n // size)
-    if asked == "asked at once":
-        population.expect(n)
-    for some in rows:
-        population.draw(some, some)
-        hand_out(population, population.remaining)
-    assert population.pending == n
-    assert [index_of(population, row, 0.0) for row in x] == list(range(n))
-    assert population.evaluated == n and population.complete
 
 
 def drawn_with_pair(population: Population, n: int) -> list[Float64]:
@@ -252,29 +185,3 @@ def test_the_mirrored_pair_is_found_whatever_is_lost(
         population.record(xs[i], 0.0)
     members, _ = population.close_generation()
     assert mirrored_pair(members) == pair
-
-
-def test_the_pair_of_an_earlier_generation_is_not_that_of_the_present_one() -> None:
-    """It lies along a step of the mean that is not the last one any more."""
-    population = Population()
-    old = drawn_with_pair(population, 6) + drawn_with_pair(population, 6)
-    for x in old[:6]:
-        population.record(x, 0.0)
-    population.close_generation()
-    new = drawn_with_pair(population, 6)
-    for x in (*new[:4], *old[6:8]):
-        population.record(x, 0.0)
-    members, _ = population.close_generation()
-    assert [candidate.off_distribution for candidate in members] == [True, True] + [False] * 4
-    assert mirrored_pair(members) == (2, 3)
-
-
-def test_the_state_remembers_the_pair() -> None:
-    population = Population()
-    xs = drawn_with_pair(population, 4)
-    for x in xs[:3]:
-        population.record(x, 0.0)
-    copy = Population.from_state(population.state_dict(), 2)
-    assert mirrored_pair(copy.members()[0]) == (0, 1)
-    population.draw(np.zeros((1, 2)), np.zeros((1, 2)), pair=True)  # half a pair is none
-    assert not population.hand_out().mirrored

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fide_plugins.population import Candidate, CandidateRole, Population
-from fide_plugins.population.candidate import pack, unpack
+from fide_plugins.population import CandidateRole, Population
 from fide_plugins.types import Float64
 
 from .conftest import drawn, hand_out
@@ -92,57 +91,6 @@ def test_what_is_later_than_all_others_is_not_awaited(saved: bool) -> None:
     assert 1 <= population.awaited <= 4
 
 
-def test_what_many_workers_render_is_awaited() -> None:
-    """A hundred of them, of generations of ten: each result is a hundred candidates late."""
-    population = Population()
-    out: list[Float64] = []
-    rng = np.random.default_rng(0)
-    for _ in range(50):
-        x = rng.random((10, 2))
-        population.draw(x, x)
-        for _ in x:
-            out += hand_out(population, 1)
-            if len(out) == 100:
-                population.record(out.pop(0), 0.0)
-        population.close_generation()
-    assert population.awaited == population.pending == 99
-
-
-@pytest.mark.parametrize("saved", [False, True])
-def test_the_state_knows_what_is_spare(saved: bool) -> None:
-    population, xs = drawn_for_a_test(4, 6, again=2)  # two spare ones are queued
-    population.withdraw(xs[3])
-    population.record(xs[4], 1.0)
-    if saved:
-        population = Population.from_state(population.state_dict(), 2)
-    xs += hand_out(population, 2)
-    population.record(xs[0], 1.0)
-    population.record(xs[1], 1.0)
-    assert not population.complete
-    population.record(xs[8], 1.0)
-    assert not population.complete
-    population.record(xs[2], 1.0)
-    assert population.complete
-    assert [c.index for c in population.close_generation()[0]] == [0, 1, 2]
-
-
-@pytest.mark.parametrize("first", [0, 1])
-def test_other_candidates_take_the_place_of_the_next_ones(first: int) -> None:
-    """Of a sample and of a proposal, which is then never made."""
-    population = drawn(4)
-    hand_out(population, 1 - first)
-    x = np.array([[0.1, 0.2], [0.3, 0.4]])
-    assert population.proposed(first, 2).tolist() == [False, True]
-    population.replace(first, x, x + 2.0, np.array([False, True]))
-    assert population.remaining == 3 + first
-    asked = hand_out(population, 3 + first)[first:]
-    np.testing.assert_array_equal(asked[:2], x)
-    np.testing.assert_array_equal(asked[2], np.random.default_rng(0).random((4, 2))[3])
-    found = [population.record(row, 0.0) for row in asked]
-    flags = [(c.index, c.proposed, c.off_distribution) for c in found if c is not None]
-    assert flags == [(1, False, True), (2, True, True), (3, True, False)]
-
-
 def test_a_step_counts_in_no_generation() -> None:
     """Told or withdrawn, beside members that were withdrawn or not."""
     population = drawn(4)
@@ -160,21 +108,3 @@ def test_a_step_counts_in_no_generation() -> None:
         population.record(x, 1.0)
     assert population.missing == 1 and not population.complete
     assert len(population.members()[0]) == 3
-
-
-def test_a_saved_candidate_is_of_a_known_kind() -> None:
-    population, _ = drawn_for_a_test(2, 1)
-    state = population.state_dict()
-    state["pending"]["role"][0] = 3
-    with pytest.raises(ValueError, match="role"):
-        Population.from_state(state, 2)
-
-
-def test_roles_are_saved_by_numbers_that_never_change() -> None:
-    """Checkpoints of earlier versions hold them."""
-    roles = list(CandidateRole)
-    assert [(role.name, int(role)) for role in roles] == [("MEMBER", 0), ("SPARE", 1), ("STEP", 2)]
-    x = np.array([0.5, 0.5])
-    packed = pack([Candidate(i, x, x, role) for i, role in enumerate(roles)])
-    assert packed["role"].tolist() == [0, 1, 2]
-    assert [candidate.role for candidate in unpack(packed)] == roles

@@ -24,8 +24,7 @@ OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
     "linear": ("balanced", {"proposer": "linear"}),
     "linear, screening": ("balanced", {"proposer": "linear", "screening": True}),
     "forward": ("balanced", {"proposer": "forward"}),
-    "diffusion": ("paper", {"epochs": 1, "batch_size": 10, "background_training": False}),
-    "diffusion, in the background": ("paper", {"epochs": 1, "batch_size": 10}),
+    "diffusion": ("paper", {"epochs": 1, "batch_size": 10}),
 }
 Make = Callable[..., Proposer]
 
@@ -109,26 +108,6 @@ def test_what_is_given_is_not_changed(make: Make) -> None:
     proposed(proposer)
     for one, kept in zip(given, before, strict=True):
         np.testing.assert_array_equal(np.asarray(one), np.asarray(kept))
-
-
-def test_a_preview_is_what_an_update_would_make_of_it(make: Make) -> None:
-    """Or the proposer itself, where that takes long."""
-    proposer = make()
-    proposer.update(*scene(0))
-    before = proposed(proposer)
-    preview = proposer.preview(*scene(1))
-    np.testing.assert_array_equal(proposed(proposer), before)
-    if preview is proposer:
-        assert has_network(proposer)
-        return
-    found = proposed(preview)
-    assert (found != before).any()
-    proposer.update(*scene(1))
-    np.testing.assert_array_equal(proposed(proposer), found)
-
-
-def has_network(proposer: Proposer) -> bool:
-    return type(proposer).__name__ in ("DiffusionProposer", "BackgroundProposer")
 
 
 @pytest.mark.parametrize("std", [STD, np.full(D, 1e-14), np.r_[1e-200, STD[1:]]])

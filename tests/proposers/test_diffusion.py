@@ -9,9 +9,8 @@ import pytest
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.utils.flop_counter import FlopCounterMode
 
-from fide_plugins.denoiser import Denoise, network as network_module
+from fide_plugins.denoiser import Denoise
 from fide_plugins.denoiser.training import XLoss
 from fide_plugins.errors import OptionError
 from fide_plugins.proposers.diffusion import DiffusionProposer
@@ -30,10 +29,6 @@ def scene(n: int, seed: int = 0) -> tuple[Floats, Tensor]:
     """Parameters (n, 2) around the center, and "images" of 3 tokens that show them."""
     x = 0.5 + STD * np.random.default_rng(seed).standard_normal((n, 2))
     return x, images_of(x)
-
-
-def in_bfloat16() -> torch.autocast:
-    return torch.autocast("cpu", torch.bfloat16)
 
 
 def images_of(x: Floats) -> Tensor:
@@ -55,17 +50,6 @@ def test_learns_to_read_the_parameters_from_the_image() -> None:
     assert after < 0.35 * before
 
 
-@pytest.mark.parametrize("generations", [0, 1])
-def test_a_state_is_loaded_where_another_device_is_the_default(generations: int) -> None:
-    original, copy = make(3), make(99)
-    for _ in range(generations):
-        original.update(*scene(30), None, STD)
-    with torch.device("meta"):  # stands for a GPU
-        copy.load_state_dict(as_numpy(original.state_dict()))
-    x, tokens = scene(30, seed=5)
-    assert torch.equal(original.update(x, tokens, None, STD), copy.update(x, tokens, None, STD))
-
-
 def as_numpy(state: dict[str, Any]) -> dict[str, Any]:
     def convert(value: Any) -> Any:
         if isinstance(value, dict):
@@ -83,19 +67,6 @@ def test_weights_and_moments_are_carried_on() -> None:
     assert float(second[0]) < float(first[0])
     steps = {float(entry["step"]) for entry in proposer.state_dict()["adam"].values()}
     assert steps == {2 * 3 * 2.0}  # updates x epochs x minibatches
-
-
-def test_global_random_state_is_neither_read_nor_changed() -> None:
-    x, tokens = scene(20)
-    out = []
-    for seed in (0, 1):
-        torch.manual_seed(seed)
-        before = torch.get_rng_state()
-        proposer = make()
-        proposer.update(x, tokens, None, STD)
-        out.append(proposer.propose(x, tokens[0], MEAN, STD))
-        assert torch.equal(before, torch.get_rng_state())
-    assert np.array_equal(out[0], out[1])
 
 
 def by_the_sample(proposed: Floats, z: Floats) -> bool:
@@ -165,35 +136,6 @@ def test_training_that_raises_is_undone(generations: int, error: BaseException) 
     assert state_as_bytes(proposer) == state_as_bytes(other)
 
 
-@pytest.mark.parametrize("mode", [torch.no_grad, torch.inference_mode, in_bfloat16])
-def test_the_caller_s_mode_does_not_matter(mode: Any) -> None:
-    """Another thread would know nothing of it, and the run must be the same."""
-    x, tokens = scene(20)
-    plain, within = make(), make()
-    first = plain.propose(x, tokens[0], MEAN, STD)
-    plain.update(x, tokens, None, STD)
-    plain.load_state_dict(plain.state_dict())
-    plain.update(x, tokens, None, STD)
-    with mode():
-        seen = tokens.clone()  # in inference mode, a tensor that no gradient may pass
-        np.testing.assert_array_equal(within.propose(x, seen[0], MEAN, STD), first)
-        within.update(x, seen, None, STD)
-        within.load_state_dict(within.state_dict())
-        within.update(x, seen, None, STD)
-        proposed = within.propose(x, seen[0], MEAN, STD)
-    assert state_as_bytes(within) == state_as_bytes(plain)
-    np.testing.assert_array_equal(proposed, plain.propose(x, tokens[0], MEAN, STD))
-
-
-def test_images_may_lie_elsewhere_and_in_double_precision() -> None:
-    """They go to the device a minibatch at a time."""
-    x, tokens = scene(30)
-    plain, other = make(batch_size=8), make(batch_size=8)
-    plain.update(x, tokens, None, STD)
-    other.update(x, tokens.double(), None, STD)
-    assert state_as_bytes(other) == state_as_bytes(plain)
-
-
 def test_a_network_that_overflows_leaves_samples_as_they_are() -> None:
     x, tokens = scene(20)
     proposer = make()
@@ -261,47 +203,3 @@ def test_no_room_for_a_single_one_is_an_error_that_says_what_to_do() -> None:
     with pytest.warns(RuntimeWarning), pytest.raises(torch.OutOfMemoryError) as caught:
         BatchSize(4, "things").each(refuse, 4)
     assert "device='cpu'" in caught.value.__notes__[0]
-
-
-def test_bfloat16_learns_the_same_with_weights_in_float32(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(network_module, "has_bfloat16", lambda device: True)
-    x, tokens = scene(100)
-    proposals = []
-    for kind in ("float32", "bfloat16"):
-        proposer = make(precision=kind, epochs=10, batch_size=20)
-        proposer.update(x, tokens, None, STD)
-        proposals.append(proposer.propose(x, tokens[0], MEAN, STD))
-        weights = proposer.state_dict()["weights"].values()
-        assert {weight.dtype for weight in weights} == {torch.float32}
-    off = np.abs(proposals[0] - proposals[1]).max()
-    assert 0 < off < 0.3 * STD.max()
-
-
-def test_bfloat16_where_there_is_none_is_float32_with_a_warning(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(network_module, "has_bfloat16", lambda device: False)
-    with pytest.warns(RuntimeWarning, match="float32 is used instead"):
-        proposer = make(precision="bfloat16")
-    assert proposer.precision == "float32"
-    with pytest.raises(OptionError, match="float32, bfloat16"):
-        make(precision="float8")
-
-
-def test_fewer_tokens_than_parameters() -> None:
-    """They learn, and the cost of a block no longer grows with the parameters."""
-    rng = np.random.default_rng(0)
-    x = 0.5 + 0.1 * rng.standard_normal((60, 12))
-    tokens = torch.as_tensor(x[:, :, None], dtype=torch.float32)  # (n, 12, 1)
-    work = {}
-    for n in (None, 12, 4):
-        proposer = DiffusionProposer(
-            12, epochs=4, batch_size=20, width=16, blocks=2, parameter_tokens=n
-        )
-        with FlopCounterMode(display=False) as counter:
-            losses = proposer.update(x, tokens, None, np.full(12, 0.1))
-        work[n] = counter.get_total_flops()
-        assert float(losses[-1]) < 0.5 * float(losses[0])
-    assert work[None] == work[12] > 1.8 * work[4]

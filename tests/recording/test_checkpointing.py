@@ -14,64 +14,23 @@ IDLE: Any = SimpleNamespace(training=False)
 TRAINS: Any = SimpleNamespace(training=True)
 
 
-class Clock:
-    """Seconds, as a test sets them."""
-
-    now = 100.0
-
-    def __call__(self) -> float:
-        return self.now
-
-
-@pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    made = Clock()
-    monkeypatch.setattr(directory, "perf_counter", made)
-    return made
-
-
-def write(timer: CheckpointTimer, clock: Clock, seconds: float) -> None:
-    with timer.writing():
-        clock.now += seconds
-
-
-def test_the_first_is_due_after_the_given_seconds(clock: Clock) -> None:
-    timer = CheckpointTimer(5.0)
-    clock.now += 4.0
-    assert not timer.due(IDLE)
-    clock.now += 1.0
-    assert timer.due(IDLE)
-
-
 @pytest.mark.parametrize(("took", "wait"), [(0.125, 5.0), (0.25, 5.0), (0.5, 10.0), (2.0, 40.0)])
-def test_writing_takes_at_most_one_part_in_twenty(clock: Clock, took: float, wait: float) -> None:
-    timer = CheckpointTimer(5.0)
-    write(timer, clock, took)
-    clock.now += wait - 0.125
-    assert not timer.due(IDLE)
-    clock.now += 0.125
-    assert timer.due(IDLE)
-
-
-def test_none_is_due_while_the_optimizer_trains(clock: Clock) -> None:
-    timer = CheckpointTimer(5.0)
-    clock.now += 60.0
-    assert not timer.due(TRAINS)
-    assert timer.due(IDLE)
-
-
-def test_with_zero_seconds_one_is_always_due(clock: Clock) -> None:
-    timer = CheckpointTimer(0)
-    assert timer.due(IDLE)
-    write(timer, clock, 3.0)
-    assert timer.due(IDLE) and timer.due(TRAINS)
-
-
-def test_one_that_cannot_be_written_does_not_count(clock: Clock) -> None:
-    timer = CheckpointTimer(5.0)
-    clock.now += 6.0
+def test_writing_takes_at_most_one_part_in_twenty(
+    monkeypatch: pytest.MonkeyPatch, took: float, wait: float
+) -> None:
+    now = [100.0]
+    monkeypatch.setattr(directory, "perf_counter", lambda: now[0])
+    timer, always = CheckpointTimer(5.0), CheckpointTimer(0)
+    now[0] += 5.0
+    assert timer.due(IDLE) and not timer.due(TRAINS) and always.due(TRAINS)
     with pytest.raises(OSError, match="full"), timer.writing():
         raise OSError("full")
+    assert timer.due(IDLE), "one that cannot be written does not count"
+    with timer.writing():
+        now[0] += took
+    now[0] += wait - 0.125
+    assert not timer.due(IDLE)
+    now[0] += 0.125
     assert timer.due(IDLE)
 
 

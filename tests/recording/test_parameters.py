@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
 from fide_plugins import Choice, Float, Group, Int, Solution, Space
 from fide_plugins.recording.parameters import described, lines, rows
-from fide_plugins.recording.plots import drawn
 from fide_plugins.types import Estimated
 
 
@@ -74,15 +72,3 @@ def test_an_integer_has_no_deviation_and_is_not_open_for_that() -> None:
 def test_small_units_have_exponents(x: float, std: float, text: str) -> None:
     (row,) = rows([solution([x], [std], Space(x=Float(0, 1e-9, unit="m")))])
     assert row.values == [text]
-
-
-def test_long_labels_keep_both_ends() -> None:
-    space = Space(
-        left_shoulder_rotation_about_the_axis=Float(0, 1),
-        kind=Choice("a_material_of_brick", "a_material_of_wood"),
-    )
-    first, second = drawn(np.array([[0.1, 0.1], [0.9, 0.9]]), space, 2)
-    assert first.label == "left_should...t_the_axis"
-    axes = Figure().add_subplot()
-    second.mark(axes, "x")
-    assert [one.get_text() for one in axes.get_xticklabels()] == ["a_mat...rick", "a_mat...wood"]

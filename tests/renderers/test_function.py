@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import os
-import pickle
-import subprocess
-import sys
 import traceback
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
@@ -75,14 +72,6 @@ def test_a_file_imports_its_neighbors_and_holds_dataclasses(tmp_path: Path) -> N
     assert FunctionRenderer(f"{tmp_path}/scene.py:render")({}) == 7
 
 
-def test_a_module_by_name_is_found_in_the_current_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "fide_test_module.py").write_text("def render(params): return params + 1")
-    monkeypatch.chdir(tmp_path)
-    assert FunctionRenderer("fide_test_module:render")(1) == 2
-
-
 def test_a_copy_in_a_spawned_process_loads_the_file_there_once(
     scene: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -93,13 +82,6 @@ def test_a_copy_in_a_spawned_process_loads_the_file_there_once(
         pairs = [pool.submit(renderer, {}).result() for _ in range(3)]
     ((loaded_in, process),) = set(pairs)
     assert loaded_in == process != os.getpid()
-
-
-def test_a_copy_is_the_same_renderer(scene: Path) -> None:
-    renderer = FunctionRenderer(f"{scene}:render")
-    copy = pickle.loads(pickle.dumps(renderer))
-    assert copy.reference == renderer.reference == f"{scene}:render"
-    assert copy.space == renderer.space
 
 
 @pytest.mark.parametrize(
@@ -154,21 +136,6 @@ def test_a_file_that_ends_the_process_or_lacks_a_module_is_reported(
     path.write_text("import fide_no_such_module")
     with pytest.raises(FideError, match="No module named 'fide_no_such_module'"):
         FunctionRenderer(f"{path}:render")
-
-
-def test_a_space_of_the_wrong_type_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "odd.py"
-    path.write_text("space = 'wide'\ndef render(params): ...")
-    with pytest.raises(FideError, match="must be a Space, or the number of parameters.*'wide'"):
-        _ = FunctionRenderer(f"{path}:render").space
-
-
-def test_no_torch_is_needed_to_find_a_function(scene: Path) -> None:
-    script = (
-        "import sys; from fide_plugins.renderers import FunctionRenderer; "
-        "FunctionRenderer(sys.argv[1]); assert 'torch' not in sys.modules"
-    )
-    subprocess.run([sys.executable, "-c", script, f"{scene}:render"], check=True)
 
 
 def test_an_exception_of_the_function_names_line_and_parameters(tmp_path: Path) -> None:
@@ -239,12 +206,6 @@ def test_a_file_that_changes_the_folder_changes_its_own_only(here: Path) -> None
     assert Path.cwd() == here
 
 
-def test_a_file_that_it_names_is_in_its_own_folder(here: Path) -> None:
-    gray = str(here.parent / "scene" / "gray.txt")
-    assert FunctionRenderer("../scene/moves.py:file")({}) == gray
-    assert FunctionRenderer("../scene/moves.py:files")({}) == [gray, [gray], 0.5]
-
-
 def test_a_file_that_changes_the_folder_is_refused_in_threads(here: Path) -> None:
     """They have one current folder, in which FIDE writes meanwhile."""
     Path("../scene/stays.py").write_text("render = dict")
@@ -254,9 +215,4 @@ def test_a_file_that_changes_the_folder_is_refused_in_threads(here: Path) -> Non
             moves.result()
         stays = FunctionRenderer("../scene/stays.py:render")
         assert executor.submit(stays, {"x": 1}).result() == {"x": 1}
-    assert Path.cwd() == here
-
-
-def test_a_folder_that_the_function_removes_is_left(here: Path) -> None:
-    FunctionRenderer("../scene/moves.py:removes")({})
     assert Path.cwd() == here

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fide_plugins import Space, fit, images
+from fide_plugins import Space, images
 from fide_plugins.cli import main
 from fide_plugins.renderers import CommandRenderer
 
@@ -73,33 +73,6 @@ def test_the_documented_command_fits(capsys: pytest.CaptureFixture[str]) -> None
     render = CommandRenderer(words[words.index("--command") + 1], space)
     again = np.asarray(render(result["params"]))  # the file decides what an image was rendered of
     assert np.square(again - images.load("target.png")).mean() == pytest.approx(result["mse"])
-
-
-@pytest.mark.thorough
-def test_fit_finds_the_same_from_python() -> None:
-    render = small()
-    target = render(TRUTH)
-    result = fit(render, target, render.space, budget=20, executor="threads", workers=8, seed=0)
-    assert result.evaluations == 20 and result.failures == 0 and result.best is not None
-    again = np.asarray(render(result.params))
-    assert np.square(again - target).mean() == pytest.approx(result.best.loss, rel=1e-6)
-    assert result.best.loss < np.median(result.optimizer.evaluator.loss(_random(render)))
-
-
-@pytest.mark.thorough
-def test_optuna_s_sampler_fits_it_too() -> None:
-    optuna = pytest.importorskip("optuna")
-    from fide_adapters.optuna import FIDESampler, image_objective
-
-    render = small()
-    target = np.asarray(render(TRUTH))
-    optuna.logging.set_verbosity(optuna.logging.ERROR)
-    sampler = FIDESampler(target=target, seed=0)
-    study = optuna.create_study(sampler=sampler)
-    study.optimize(image_objective(lambda trial: render(suggested(trial))), n_trials=12)
-    best = study.best_trial
-    assert np.square(render(params_of(best.params)) - target).mean() == pytest.approx(best.value)
-    assert {t.params["floor"] for t in study.trials} <= {"checker", "bricks", "planks"}
 
 
 def suggested(trial: Any) -> dict[str, Any]:

@@ -91,13 +91,6 @@ def test_numbers_keep_every_bit(tmp_path: Path) -> None:
     assert same({**state, "strided": np.arange(20)[::3].copy()}, roundtrip(tmp_path / "c", state))
 
 
-def test_arrays_that_come_back_are_one_s_own(tmp_path: Path) -> None:
-    back = roundtrip(tmp_path / "c", {"a": np.zeros(3), "b": np.zeros(3)})
-    back["a"] += 1.0
-    assert back["a"].flags.owndata and back["a"].flags.aligned
-    assert back["b"].sum() == 0.0
-
-
 def test_tensors_and_numpy_scalars(tmp_path: Path) -> None:
     weight = torch.nn.Linear(3, 2).weight
     back = roundtrip(
@@ -106,18 +99,6 @@ def test_tensors_and_numpy_scalars(tmp_path: Path) -> None:
     )
     assert same(back["w"], weight.detach().numpy())
     assert same([back["n"], back["x"], back["b"], back["t"]], [7, 0.1, True, [1, 2]])
-
-
-@pytest.mark.parametrize("bits", [np.random.PCG64, np.random.MT19937, np.random.Philox])
-def test_a_generator_continues_where_it_was(
-    tmp_path: Path, bits: type[np.random.BitGenerator]
-) -> None:
-    rng = np.random.Generator(bits(5))
-    rng.random(7)
-    state = roundtrip(tmp_path / "c", {"rng": rng.bit_generator.state})
-    other = np.random.Generator(bits(0))
-    other.bit_generator.state = state["rng"]
-    np.testing.assert_array_equal(rng.normal(size=9), other.normal(size=9))
 
 
 def example(path: Path) -> bytes:
@@ -232,16 +213,6 @@ def test_arrays_that_cannot_be_are_refused_without_allocating(tmp_path: Path, en
         checkpoint.read(tmp_path / "c", KIND)
 
 
-def test_deep_nesting_and_broken_json_are_refused(tmp_path: Path) -> None:
-    for text in (b"[" * 200_000, b"{", b"\xff", b"{}", b"null", b"7" * 5000):
-        forged(tmp_path / "c", text)
-        with pytest.raises(CheckpointError):
-            checkpoint.read(tmp_path / "c", KIND)
-    forged(tmp_path / "c", {"kind": KIND}, length=2**63)
-    with pytest.raises(CheckpointError, match="longer than the file"):
-        checkpoint.read(tmp_path / "c", KIND)
-
-
 @pytest.mark.parametrize(
     ("value", "place"),
     [
@@ -264,12 +235,3 @@ def test_what_cannot_be_stored_is_named_and_the_old_file_stays(
         checkpoint.write(path, KIND, value)
     assert path.read_bytes() == before
     assert os.listdir(tmp_path) == ["c"]
-
-
-def test_missing_files_and_folders(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError):
-        checkpoint.read(tmp_path / "none", KIND)
-    with pytest.raises(FileNotFoundError, match="cannot write .*none"):
-        checkpoint.write(tmp_path / "none" / "c", KIND, {})
-    with pytest.raises(IsADirectoryError, match="it is a folder"):
-        checkpoint.write(tmp_path, KIND, {})

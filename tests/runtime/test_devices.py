@@ -11,13 +11,11 @@ from torch import Tensor, nn
 
 from fide_plugins import encoders
 from fide_plugins.fide import FIDE
-from fide_plugins.runtime import devices
 from fide_plugins.runtime.devices import (
     BatchSize,
     batch_size,
     digest,
     in_batches,
-    is_out_of_gpu_memory,
     is_out_of_memory,
     repeatable,
     resolve_device,
@@ -47,11 +45,6 @@ def test_a_gpu_without_a_number_is_the_one_in_use(asked: str, meant: str) -> Non
         assert resolve_device(asked, for_network=False) == torch.device(meant)
 
 
-@pytest.mark.usefixtures("second_gpu")
-def test_auto_without_a_network_is_the_cpu() -> None:
-    assert resolve_device("auto", for_network=False) == torch.device("cpu")
-
-
 @pytest.mark.parametrize(
     ("options", "meant"),
     [
@@ -79,19 +72,6 @@ def test_where_an_optimizer_computes(
     monkeypatch.setattr(encoders, "make", make)
     with pytest.raises(Made, match=f"^{meant}$"):
         FIDE(6, TARGET, **options)
-
-
-def test_a_network_is_what_a_gpu_makes_faster(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Functions that somebody registered are taken for one."""
-    monkeypatch.setattr(encoders._REGISTRY, "_factories", dict(encoders._REGISTRY._factories))
-    encoders.register("own", lambda device: encoders.make("dense", device=device))
-    network = {name: encoders.uses_network(name) for name in ("dense", "patch", "vgg19", "own")}
-    assert network == {"dense": False, "patch": False, "vgg19": True, "own": True}
-
-
-def test_on_the_cpu_there_is_no_stream_to_enter() -> None:
-    with devices.on_current_stream(torch.device("cpu"))():
-        pass
 
 
 @pytest.mark.parametrize("before", [(False, True), (True, False)])
@@ -134,20 +114,6 @@ def test_whatever_says_so_makes_pieces_smaller(error: Exception) -> None:
     with pytest.warns(RuntimeWarning, match="from now on 4") as warned:
         BatchSize(8, "things").each(work, 11)
     assert done == list(range(11)) and len(warned) == 1
-
-
-def test_torch_reports_the_cpu_s_memory_so() -> None:
-    """In words that may change with its version."""
-    with pytest.raises(RuntimeError) as caught:
-        torch.empty(2**58, dtype=torch.uint8)
-    assert is_out_of_memory(caught.value) and not is_out_of_gpu_memory(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("error", "of_gpu"), [(CPU, False), (DEVICE, True), (LIBRARY, True), (MemoryError(), False)]
-)
-def test_whose_memory_it_is(error: Exception, of_gpu: bool) -> None:
-    assert is_out_of_gpu_memory(error) is of_gpu
 
 
 def test_other_errors_are_none_of_it() -> None:
@@ -221,10 +187,3 @@ def test_it_is_of_names_and_values() -> None:
     assert len(first) == 8 and digest(network()) == first
     assert digest(network(1.0000001)) != first
     assert digest(nn.Sequential(network())) != first  # "0.weight"
-
-
-def test_it_may_be_of_more() -> None:
-    one, other = network(), network(0.0)
-    made = [digest(one), digest(one, other), digest(other, one)]
-    made += [digest(one, extra=[1.0]), digest(one, extra=[2.0])]
-    assert len(set(made)) == 5

@@ -5,13 +5,9 @@ from __future__ import annotations
 import errno
 import os
 import signal
-import stat
 import subprocess
 import sys
-import threading
-import time
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -31,13 +27,6 @@ def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path) -> None:
     files.write_bytes(path, b"new")
     assert path.read_bytes() == b"new"
     assert os.listdir(tmp_path) == ["a.txt"]
-
-
-def test_the_mode_is_that_of_an_ordinary_file(tmp_path: Path) -> None:
-    (tmp_path / "ordinary").touch()
-    files.write_text(tmp_path / "ours", "x")
-    modes = {stat.S_IMODE((tmp_path / name).stat().st_mode) for name in ("ordinary", "ours")}
-    assert len(modes) == 1
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
@@ -72,15 +61,6 @@ def test_leftovers_of_a_killed_writer_are_removed(tmp_path: Path) -> None:
         (tmp_path / name).touch()
     files.remove_leftovers(tmp_path)
     assert sorted(os.listdir(tmp_path)) == [".hidden", ".notes.tmp", "mine.tmp"]
-
-
-def test_what_another_process_may_be_writing_stays(tmp_path: Path) -> None:
-    new, old = (tmp_path / f".{name}.0123456789ab.tmp" for name in ("new", "old"))
-    new.touch()
-    old.touch()
-    os.utime(old, (0, time.time() - 100))
-    files.remove_leftovers(tmp_path, age=50)
-    assert os.listdir(tmp_path) == [new.name]
 
 
 HOLDER = """
@@ -128,21 +108,6 @@ def test_whether_a_lock_is_held_is_told_without_making_or_keeping_one(tmp_path: 
 
 
 @needs_locks
-def test_who_asks_for_a_lock_waits_for_one_that_only_looks(tmp_path: Path) -> None:
-    import fcntl
-
-    path = tmp_path / "lock"
-    path.touch()
-    descriptor = os.open(path, os.O_RDONLY)
-    fcntl.flock(descriptor, fcntl.LOCK_SH)
-    looking = threading.Timer(0.0005, os.close, [descriptor])
-    looking.start()
-    with files.locked(path) as mine:
-        assert mine
-    looking.join()
-
-
-@needs_locks
 def test_a_lock_of_a_file_that_was_removed_meanwhile_counts_for_nothing(tmp_path: Path) -> None:
     path = tmp_path / "lock"
     with files.locked(path, remove=True) as first:
@@ -166,20 +131,3 @@ def test_a_file_system_without_locks_stops_nothing(
     with files.locked(tmp_path / "lock", remove=True) as mine:
         assert mine
     assert not (tmp_path / "lock").exists()
-
-
-@needs_locks
-def test_a_lock_file_of_another_user_is_locked_as_well(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path, opened = tmp_path / "lock", os.open
-    path.touch()
-
-    def forbidden(path: Any, flags: int, mode: int = 0o777) -> int:
-        if flags & os.O_RDWR:
-            raise PermissionError(errno.EACCES, "Permission denied")
-        return opened(path, flags, mode)
-
-    monkeypatch.setattr(os, "open", forbidden)
-    with files.locked(path) as first, files.locked(path) as second:
-        assert first and not second

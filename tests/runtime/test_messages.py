@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import threading
 from collections.abc import Callable
 from pathlib import Path
 from types import FunctionType
@@ -13,12 +12,9 @@ import nevergrad as ng
 import numpy as np
 import optuna
 import pytest
-import torch
 
 from fide_adapters.nevergrad import ParametrizedFIDE
 from fide_plugins import FIDE, FIDESampler, Float, Space, fit
-from fide_plugins.proposers.diffusion import DiffusionProposer
-from fide_plugins.runtime.devices import BatchSize
 from fide_plugins.runtime.messages import warn_user
 from fide_plugins.runtime.threads import user_threads
 
@@ -61,31 +57,6 @@ def fail() -> None:
     fit(render, np.zeros((16, 16, 3)), SPACE, 4, workers=0, seed=0)
 
 
-def cannot_pickle() -> None:
-    lock = threading.Lock()
-
-    def render(params: dict[str, float]) -> Any:
-        with lock:
-            return np.zeros((16, 16))
-
-    fit(render, np.zeros((16, 16, 3)), SPACE, 1, workers=1, seed=0)
-
-
-def diverge() -> None:
-    proposer = DiffusionProposer(2, epochs=2, learning_rate=1e30, width=8, blocks=1)
-    rng = np.random.default_rng(0)
-    x, tokens = rng.random((20, 2)), torch.zeros(20, 4, 3)
-    proposer.update(x, tokens, None, np.full(2, 0.3))
-
-
-def lack_memory() -> None:
-    def work(piece: slice) -> None:
-        if piece.stop - piece.start > 1:
-            raise MemoryError
-
-    BatchSize(2, "examples").each(work, 2)
-
-
 def lack_a_parameter() -> None:
     distribution = optuna.distributions.FloatDistribution(0, 1)
     sampler = FIDESampler(search_space={"x": distribution, "y": distribution}, seed=0)
@@ -103,9 +74,6 @@ def lack_images() -> None:
     [
         (clip, "are clipped"),
         (fail, "a render failed"),
-        (cannot_pickle, "cannot be sent to other processes"),
-        (diverge, "training of the denoiser diverged"),
-        (lack_memory, "the device's memory is too small"),
         (lack_a_parameter, "has no y, which search_space names"),
         (lack_images, "has no target, so it is CMA-ES"),
     ],

@@ -21,11 +21,7 @@ import torch
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from fide_lab import optimizers
-from fide_plugins import encoders
-from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.fide import FIDE
-from fide_plugins.losses.base import CallableLoss
-from fide_plugins.proposers.diffusion import DiffusionProposer
 from fide_plugins.runtime import threads as module
 from fide_plugins.runtime.threads import Background, Lock, one_at_a_time, one_thread, user_threads
 from fide_plugins.types import Float32, Float64
@@ -83,27 +79,6 @@ def test_the_setting_of_the_user_comes_back(n: int) -> None:
 
 
 @pytest.mark.usefixtures("two")
-def test_it_comes_back_after_an_error() -> None:
-    with pytest.raises(KeyError), one_thread:
-        try:
-            with user_threads:
-                raise KeyError
-        finally:
-            assert threads() == (1, {1})
-    assert threads() == (2, {2})
-
-
-@pytest.mark.usefixtures("two")
-def test_what_the_user_sets_inside_holds_where_the_user_is() -> None:
-    """Of PyTorch, in a function that FIDE calls, such as a loss."""
-    with one_thread:
-        with user_threads:
-            torch.set_num_threads(3)
-        assert torch.get_num_threads() == 1
-    assert torch.get_num_threads() == 3
-
-
-@pytest.mark.usefixtures("two")
 def test_pytorch_in_other_threads_keeps_its_setting() -> None:
     """Also in a thread that computes for the first time while another one is inside."""
     with one_thread, ThreadPoolExecutor(1) as new:
@@ -135,22 +110,6 @@ def test_the_last_thread_that_leaves_restores_blas() -> None:
                 leave.set()
                 done.result(60)
         assert threads() == (2, {2})
-
-
-@pytest.mark.usefixtures("two")
-def test_eight_threads_enter_and_leave_at_random() -> None:
-    def work(worker: int) -> set[tuple[int, ...]]:
-        seen = set()
-        for _ in range(10):
-            with one_thread:
-                seen.add((torch.get_num_threads(), *blas_threads()))
-        seen.add((torch.get_num_threads(),))
-        return seen
-
-    with ThreadPoolExecutor(8) as pool:
-        for seen in pool.map(work, range(8)):
-            assert seen == {(1, 1), (2,)}
-    assert threads() == (2, {2})
 
 
 # -- what FIDE does in how many --------------------------------------------------------------------
@@ -185,35 +144,9 @@ def test_a_loss_of_the_users_computes_in_as_many_as_set(name: str) -> None:
     assert seen == [(2, {2})] * 2
 
 
-class SeesThreads(PatchEncoder):
-    """An encoder of somebody's; mean colors."""
-
-    name, version = "sees-threads", "1"
-
-    def shape(self, height: int, width: int) -> tuple[int, int]:
-        return 1, 3
-
-    def _encode(self, images: torch.Tensor) -> torch.Tensor:
-        assert threads() == (2, {2})
-        return images.mean(dim=(1, 2))[:, None]
-
-
 @pytest.mark.usefixtures("two")
-def test_an_encoder_that_is_registered_computes_in_as_many_as_set(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(encoders._REGISTRY, "_factories", dict(encoders._REGISTRY._factories))
-    encoders.register("sees-threads", SeesThreads)
-    opt = FIDE(DIM, TARGET, encoder="sees-threads", seed=0)
-    X = opt.ask()
-    opt.tell(X, render(X))
-    assert opt.evaluations == len(X)
-
-
-@pytest.mark.usefixtures("two")
-@pytest.mark.parametrize("overlap", [False, True])
 def test_the_network_computes_in_as_many_as_set(
-    overlap: bool, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     from fide_plugins.denoiser.training import fit
 
@@ -224,7 +157,7 @@ def test_the_network_computes_in_as_many_as_set(
         return fit(*arguments, **options)
 
     monkeypatch.setattr("fide_plugins.proposers.diffusion.fit", counted)
-    options: dict[str, Any] = {"popsize": 4, "epochs": 1, "background_training": overlap}
+    options: dict[str, Any] = {"popsize": 4, "epochs": 1}
     opt = FIDE(DIM, TARGET, preset="paper", seed=0, **options)
     for _ in range(2):
         X = opt.ask()
@@ -343,39 +276,6 @@ def test_a_child_does_not_count_threads_that_it_has_not(forked: Forked) -> None:
 
 
 @pytest.mark.usefixtures("two")
-def test_a_child_leaves_blocks_that_its_parent_entered(forked: Forked) -> None:
-    def both() -> object:
-        with one_thread:
-            with user_threads:
-                answer = forked(threads)
-            assert threads() == (1, {1})
-            return answer
-
-    assert both() == repr((2, {2}))
-    with one_thread:
-        assert forked(_leave_and_look) == repr((2, {2}))
-    assert threads() == (2, {2})
-
-
-def _leave_and_look() -> object:
-    one_thread.__exit__()
-    return threads()
-
-
-@pytest.mark.usefixtures("two")
-def test_a_network_does_not_wait_for_threads_of_the_parent(forked: Forked) -> None:
-    in_parallel()
-    x, tokens = np.random.default_rng(0).random((60, 6)), torch.rand(60, 49, 768)
-
-    def work() -> object:
-        proposer = DiffusionProposer(6, epochs=1)
-        proposer.update(x, tokens, None, np.full(6, 0.1))
-        return len(proposer.propose(x, tokens[0], x[0], np.full(6, 0.1)))
-
-    assert forked(work) == "60"
-
-
-@pytest.mark.usefixtures("two")
 @pytest.mark.parametrize("preset", ["fast", "paper"])
 def test_an_optimizer_does_not_wait_for_threads_of_the_parent(preset: str, forked: Forked) -> None:
     in_parallel()
@@ -390,19 +290,6 @@ def test_an_optimizer_does_not_wait_for_threads_of_the_parent(preset: str, forke
 
     work()
     assert forked(work) == "32"
-
-
-def test_a_loss_of_the_users_is_no_loss_of_ours() -> None:
-    """What is given by name is computed in one thread, a function in as many as set."""
-    seen = []
-
-    def loss(images: Float32) -> Float64:
-        seen.append(torch.get_num_threads())
-        return np.zeros(len(images))
-
-    with one_thread:
-        CallableLoss(loss, TARGET).compute(TARGET[None])
-    assert seen == [torch.get_num_threads()]
 
 
 # -- locks -----------------------------------------------------------------------------------------
@@ -452,13 +339,6 @@ def test_one_thread_at_a_time_and_itself_again() -> None:
     assert counter.most == 2  # the one inside, and its own call
 
 
-def test_free_after_an_error() -> None:
-    counter = Counter()
-    with pytest.raises(ValueError):
-        counter.fail()
-    assert free(counter._lock)
-
-
 def test_copies_and_pickles_are_free() -> None:
     lock = Lock()
     with lock:
@@ -498,27 +378,6 @@ class Gate:
     def __call__(self) -> None:
         assert self.open.wait(20)
         self.over = True
-
-
-def test_what_begins_while_another_thread_waits_for_the_last_is_waited_for_too() -> None:
-    """As a process that forks does, in whatever thread."""
-    background, first, second = Background(), Gate(), Gate()
-    first.open.set()
-    background.start(first, "first")
-    work: Any = background._work
-    wait = work.wait
-
-    def wait_and_meanwhile_another_begins() -> None:
-        wait()
-        work.wait = wait
-        background.start(second, "second")
-
-    work.wait = wait_and_meanwhile_another_begins
-    background.join()
-    assert first.over and background.busy
-    threading.Timer(0.05, second.open.set).start()
-    background.wait()
-    assert second.over and not background.busy
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="needs signals to a thread")
@@ -599,18 +458,3 @@ def test_work_that_another_thread_begins_begins_before_a_fork_or_after_it(
         stop.set()
         thread.join()
     background.wait()
-
-
-def test_no_thread_to_be_had_is_an_error_and_nothing_to_wait_for(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def none_left(thread: threading.Thread) -> None:
-        raise RuntimeError("can't start new thread")
-
-    background = Background()
-    with monkeypatch.context() as patch:
-        patch.setattr(threading.Thread, "start", none_left)
-        with pytest.raises(RuntimeError, match="new thread"):
-            background.start(Gate(), "work")
-    background.wait()
-    assert not background.busy

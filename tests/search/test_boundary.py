@@ -21,11 +21,6 @@ def test_every_candidate_stands_for_a_point_of_the_cube(z: Float64) -> None:
     assert x.min() >= 0.0 and x.max() <= 1.0
 
 
-@given(inside)
-def test_inside_the_cube_nothing_changes(x: Float64) -> None:
-    np.testing.assert_array_equal(mixed.into(x), x)
-
-
 @given(anywhere)
 def test_even_and_periodic(z: Float64) -> None:
     np.testing.assert_allclose(mixed.into(-z), mixed.into(z), atol=1e-9)
@@ -36,16 +31,6 @@ def test_even_and_periodic(z: Float64) -> None:
 @given(anywhere, anywhere)
 def test_no_step_becomes_longer(a: Float64, b: Float64) -> None:
     assert (np.abs(mixed.into(a) - mixed.into(b)) <= np.abs(a - b) + 1e-9).all()
-
-
-def test_a_step_over_the_wall_comes_back_by_as_much() -> None:
-    z = np.array([-0.25, 1.25, 2.25, -1.75, 1.0, 2.0, 3.5])
-    np.testing.assert_array_equal(mixed.into(z), [0.25, 0.75, 0.25, 0.25, 1.0, 0.0, 0.5])
-
-
-@given(inside, means)
-def test_near_stands_for_the_point(x: Float64, mean: Float64) -> None:
-    np.testing.assert_allclose(mixed.into(mixed.closest(x, mean)), x, rtol=0, atol=1e-12)
 
 
 @given(inside, means)

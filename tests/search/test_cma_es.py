@@ -60,25 +60,6 @@ def test_numbers_are_those_of_the_library(d: int, k: int) -> None:
     assert checked >= 30
 
 
-def test_sigma_and_covariance_separately_are_those_of_the_library() -> None:
-    ours = CMAES(np.zeros(4), 0.5, 9, widest=np.inf)
-    theirs = cmaes.CMA(np.zeros(4), 0.5, population_size=9)
-    rng = np.random.default_rng(0)
-    for _ in range(30):
-        z = ours.sample(9, rng)
-        ours.tell(z, ellipsoid(z), own(9))
-        theirs.tell([(row.copy(), float(loss)) for row, loss in zip(z, ellipsoid(z), strict=True)])
-        assert ours.sigma == pytest.approx(theirs._sigma, rel=1e-9)
-        np.testing.assert_allclose(ours.C, theirs._C, rtol=1e-7, atol=1e-9)
-        np.testing.assert_allclose(ours.p_c, theirs._pc, rtol=1e-7, atol=1e-9)
-        np.testing.assert_allclose(ours.p_sigma, theirs._p_sigma, rtol=1e-7, atol=1e-9)
-
-
-@pytest.mark.parametrize("d", [1, 2, 10, 100, 1000])
-def test_default_population_is_the_library_s(d: int) -> None:
-    assert default_popsize(d) == cmaes.CMA(np.zeros(d), 1.0).population_size
-
-
 def test_samples_have_the_distribution_s_mean_and_covariance() -> None:
     search = CMAES(np.array([0.2, 0.8]), np.array([0.1, 0.4]), 6)
     rng = np.random.default_rng(0)
@@ -92,28 +73,6 @@ def test_samples_have_the_distribution_s_mean_and_covariance() -> None:
     np.testing.assert_allclose(search.std, std, rtol=1e-12)
     assert (np.abs(z.mean(axis=0) - search.mean) < 5 * std / np.sqrt(n)).all()
     np.testing.assert_allclose(np.cov(z.T), sigma, atol=5 * std.max() ** 2 * np.sqrt(2 / n))
-
-
-@pytest.mark.parametrize("d", [1, 2, 5, 24, 25, 26, 70, 130])
-@pytest.mark.parametrize("kind", ["equal", "different", "ties", "wide"])
-def test_the_first_distribution_is_decomposed_as_by_lapack(d: int, kind: str) -> None:
-    """To the bit, ties included."""
-    rng = np.random.default_rng(d)
-    stds = {
-        "equal": np.full(d, 0.3), "different": rng.uniform(0.01, 0.5, d),
-        "ties": rng.choice([0.1, 0.2, 0.3], d), "wide": 10.0 ** rng.integers(-16, 1, d),
-    }  # fmt: skip
-    made = CMAES(np.full(d, 0.5), stds[kind], 10)
-    again = copy.deepcopy(made)
-    again.C = np.diag((stds[kind] / made.sigma) ** 2)
-    again._decompose()
-    for name in ("_B", "_D", "C"):
-        assert getattr(made, name).tobytes() == getattr(again, name).tobytes()
-
-
-def test_a_standard_deviation_for_each_parameter() -> None:
-    std = np.array([0.01, 0.2, 0.15])
-    np.testing.assert_allclose(CMAES(np.zeros(3), std, 5).std, std, rtol=1e-14)
 
 
 @pytest.mark.parametrize("d", [1, 3, 40])
@@ -137,21 +96,6 @@ def test_injected_steps_are_cut_to_the_stated_length(d: int) -> None:
     np.testing.assert_allclose(mean_after(0.9 * limit, True), mean_after(0.9 * limit, False))
     assert (mean_after(50 * limit, False) > at_limit + 0.1).all()
     assert (at_limit > mean_after(0.9 * limit, True)).all()
-
-
-def test_injected_steps_are_measured_in_the_distribution_s_own_metric() -> None:
-    """The same step is long across a narrow direction and short along a wide one."""
-    std = np.array([1e-3, 1.0])
-    for axis, is_cut in ((0, True), (1, False)):
-        search = CMAES(np.zeros(2), std, 6, widest=np.inf)
-        z = np.zeros((6, 2))
-        z[0, axis] = 0.5
-        plain = CMAES(np.zeros(2), std, 6, widest=np.inf)
-        flags = own(6)
-        plain.tell(z.copy(), np.arange(6.0), flags)
-        flags[0] = True
-        search.tell(z, np.arange(6.0), flags)
-        assert (search.mean[axis] < 0.5 * plain.mean[axis]) == is_cut
 
 
 def test_mean_standard_deviation_never_exceeds_that_of_the_beginning() -> None:
@@ -189,20 +133,6 @@ def test_generations_without_a_finite_loss_only_widen_until_there_is_one() -> No
         np.testing.assert_array_equal(value, before[name], err_msg=name)
 
 
-@pytest.mark.thorough
-def test_failures_here_and_there_do_not_widen_a_search() -> None:
-    """Of generations in which seven of ten candidates fail, one in 25 has no loss at all."""
-    ends = []
-    for seed in range(40):
-        search, rng = CMAES(np.full(6, 0.5), 0.1, 9), np.random.default_rng(seed)
-        for _ in range(400):
-            z = search.sample(9, rng)
-            losses = np.where(rng.random(9) < 0.7, np.inf, np.square(z - 0.3).sum(axis=1))
-            search.tell(z, losses, own(9))
-        ends.append(np.abs(search.mean - 0.3).max())
-    assert np.median(ends) < 0.09, "usually 0.055; 0.14 if each of these generations widens"
-
-
 @pytest.mark.parametrize("std", [[1.0, 1e-8], [1.0, 1e-12], [1e-150, 1e150]])
 def test_condition_is_held(std: list[float]) -> None:
     """C of condition 1e16 and beyond: no eigenvalue below 1e-14 of the largest."""
@@ -214,41 +144,6 @@ def test_condition_is_held(std: list[float]) -> None:
         check_sane(search)
         eigenvalues = np.linalg.eigvalsh(search.C)
         assert eigenvalues[-1] / eigenvalues[0] < 1.01e14
-
-
-@pytest.mark.parametrize("widest", [1.0, np.inf])
-def test_a_search_that_has_arrived_can_still_be_moved(widest: float) -> None:
-    """Long after convergence samples still differ, and a far candidate does not overflow."""
-    search = CMAES(np.full(2, 0.5), 0.2, 6, widest=widest)
-    rng = np.random.default_rng(0)
-    for _ in range(1500):
-        z = search.sample(6, rng)
-        search.tell(z, ((z - 0.3) ** 2).sum(axis=1), own(6))
-    assert search.std.max() >= 0.99e-14
-    np.testing.assert_allclose(search.mean, 0.3, atol=1e-9)
-    assert len(np.unique(search.sample(20, rng), axis=0)) > 10
-    flags = own(6)
-    flags[0] = True
-    for _ in range(3):
-        z = search.sample(6, rng)
-        z[0] = 0.9
-        search.tell(z, np.arange(6.0), flags)
-        check_sane(search)
-
-
-def test_a_scale_that_drifts_from_covariance_to_sigma_changes_nothing() -> None:
-    """The same distribution as sigma^2 C with C = I, and with C = 4^20 I: same to the bit."""
-    searches = [CMAES(np.zeros(3), 0.25, 7, widest=np.inf) for _ in range(2)]
-    searches[1].C = searches[1].C * 4.0**20
-    searches[1].sigma /= 2.0**20
-    searches[1]._decompose()
-    for seed in range(5):
-        for search in searches:
-            z = search.sample(7, np.random.default_rng(seed))
-            search.tell(z, ellipsoid(z), own(7))
-        np.testing.assert_array_equal(searches[0].mean, searches[1].mean)
-        np.testing.assert_array_equal(searches[0].std, searches[1].std)
-        assert 1e-4 < np.trace(searches[1].C) < 1e4
 
 
 def test_only_the_order_of_losses_matters() -> None:
@@ -272,7 +167,8 @@ def test_state_goes_on_bit_for_bit() -> None:
 
     original = CMAES(np.full(5, 0.4), np.linspace(0.1, 0.3, 5), 9)
     go(original, np.random.default_rng(0))
-    copy = CMAES.from_state(deepcopy(original.state_dict()), 5, 9)
+    copy = CMAES(np.full(5, 0.5), 1.0, 9)
+    copy.load_state_dict(deepcopy(original.state_dict()))
     assert copy.largest_std == original.largest_std
     a, b = (go(search, np.random.default_rng(1)) for search in (original, copy))
     for ours, theirs in zip(a, b, strict=True):
@@ -322,6 +218,7 @@ def test_of_many_parameters_the_covariance_is_decomposed_as_often_as_it_changes(
     np.testing.assert_allclose(C, search.C, atol=1e-12)
     z = search.sample(21, rng)
     search.tell(z, (z**2).sum(axis=1), np.zeros(21, bool))  # B and D are of an earlier C now
-    twin = CMAES.from_state(search.state_dict(), 400, 21)
+    twin = CMAES(np.full(400, 0.5), 1.0, 21)
+    twin.load_state_dict(search.state_dict())
     first, second = (each.sample(3, np.random.default_rng(1)) for each in (search, twin))
     np.testing.assert_array_equal(first, second)

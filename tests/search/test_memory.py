@@ -39,19 +39,6 @@ def test_earlier_ones_are_spread_over_the_run() -> None:
     assert gaps.max() <= 2 * np.median(gaps)
 
 
-def test_no_room_no_memory() -> None:
-    for memory in (Memory(0.0), Memory(5120 / 2**20)):
-        memory.add(sample(0))
-        assert memory.samples == []
-
-
-def test_small_samples_are_counted_with_their_objects() -> None:
-    memory = Memory(1.0)
-    for i in range(1000):
-        memory.add(TrainingSample(i, np.full(2, 0.5), torch.zeros(1, 4), float(i), i))
-    assert 128 <= len(memory.samples) <= 256  # 4 KiB each
-
-
 def test_it_goes_on_from_a_saved_state() -> None:
     for n in (0, 3, 10, 11, 333):
         saved, copy = filled(n), Memory(20 * BYTES / 2**20)
@@ -62,16 +49,3 @@ def test_it_goes_on_from_a_saved_state() -> None:
         pairs = list(zip(saved.samples, copy.samples, strict=True))
         assert all((a.index, a.loss) == (b.index, b.loss) for a, b in pairs)
         assert all(torch.equal(a.tokens, b.tokens) for a, b in pairs)
-
-
-@pytest.mark.parametrize("wrong", [{"stride": 0}, {"latest": 3}, {"left": -1}])
-def test_impossible_states_are_refused(wrong: dict[str, object]) -> None:
-    state = {**filled(30).state_dict(), **wrong}
-    with pytest.raises(ValueError, match="memory"):
-        Memory(1.0).load_state_dict(state, SIDES, torch.device("cpu"))
-
-
-def test_tokens_of_another_encoder_are_refused() -> None:
-    state = filled(30).state_dict()
-    with pytest.raises(ValueError, match="memory"):
-        Memory(1.0).load_state_dict(state, {**SIDES, "C": 9}, torch.device("cpu"))

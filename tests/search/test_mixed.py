@@ -37,15 +37,6 @@ def test_without_cells_it_is_the_boundary_to_the_bit(layout: object) -> None:
     np.testing.assert_array_equal(search.mean, mean)
 
 
-def test_what_comes_from_elsewhere_stands_for_itself() -> None:
-    rng = np.random.default_rng(1)
-    mixed = Mixed(SPACE.layout)
-    mixed.A = np.where(SPACE.layout.discrete, 7.0, 1.0)
-    x = SPACE.snap(rng.random((50, SPACE.dim)))
-    for mean in rng.normal(0.5, 1.0, (20, SPACE.dim)):
-        np.testing.assert_allclose(mixed.into(mixed.closest(x, mean), mean), x, rtol=0, atol=1e-9)
-
-
 def test_samples_are_snapped_and_ends_reach_to_infinity() -> None:
     mixed = Mixed(SPACE.layout)
     z = np.array([[1.25, 1.25, 1.25, -0.2, -0.3, -0.4, -5.0]])
@@ -82,15 +73,6 @@ def test_a_narrow_search_finds_integer_and_choice_by_the_margin_only() -> None:
     without = [minimum(seed, margin=False)[0] for seed in range(4)]
     assert sum(loss < 1e-4 for loss in with_margin) >= 9
     assert sum(loss < 1e-4 for loss in without) <= 1
-
-
-def test_state_and_another_search() -> None:
-    _, mixed, search = minimum(0, margin=True)
-    assert mixed.A.max() > 1
-    other = Mixed(SPACE.layout)
-    other.load_state_dict(mixed.state_dict())
-    z = search.sample(5, np.random.default_rng(3))
-    np.testing.assert_array_equal(other.into(z, search.mean), mixed.into(z, search.mean))
 
 
 def test_discrete_axes_begin_wide() -> None:

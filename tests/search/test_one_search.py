@@ -39,14 +39,3 @@ def test_a_point_takes_the_place_of_the_worst_member_if_it_is_better(loss: float
         members[3] = replace(members[3], x=POINT, z=z, off_distribution=True)  # not drawn now
     other.tell(members, losses, None)
     assert repr(told.state_dict()["distribution"]) == repr(other.state_dict()["distribution"])
-
-
-def test_what_the_caller_gave_stays_as_it_was() -> None:
-    search = new_search()
-    members, losses = generation(search)
-    point = POINT.copy()
-    search.tell(members, losses, (point, 0.5))
-    again, same = generation(new_search())
-    np.testing.assert_array_equal(losses, same)
-    np.testing.assert_array_equal(point, POINT)
-    np.testing.assert_array_equal([one.z for one in members], [one.z for one in again])

@@ -41,13 +41,6 @@ def test_the_first_two_samples_lie_along_and_against_the_last_step() -> None:
     assert abs(lengths[2:].mean() - np.sqrt(D)) < 2
 
 
-def test_few_parameters_have_no_pair() -> None:
-    search, rng = CMAES(np.full(4 * K, 0.5), 1 / 6, K), np.random.default_rng(0)
-    moved(search, rng)
-    y = search.sample(K, rng) - search.mean
-    assert not np.allclose(y[0], -y[1])
-
-
 @pytest.mark.parametrize("ahead_rank", [0, 4, K - 1])
 @pytest.mark.parametrize("against_rank", [1, 5, K - 2])
 def test_the_factor_is_that_of_the_library(ahead_rank: int, against_rank: int) -> None:
@@ -63,30 +56,6 @@ def test_the_factor_is_that_of_the_library(ahead_rank: int, against_rank: int) -
     for _ in range(3):
         expected = es.adapt_sigma.update2(es, losses)
         assert two.factor(np.ones(D), losses, PAIR) == pytest.approx(expected, rel=1e-12)
-
-
-def test_equal_losses_and_a_lost_pair_change_nothing() -> None:
-    two = TwoPoint(D)
-    two.factor(np.ones(D), np.arange(6.0), PAIR)
-    assert two.factor(np.ones(D), np.zeros(6), PAIR) == 1.0
-    assert two.factor(np.ones(D), np.arange(6.0), None) == 1.0
-    assert two.factor(np.ones(D), np.full(6, np.inf), PAIR) == 1.0
-
-
-def test_an_injected_candidate_in_the_place_of_the_pair_does_not_count() -> None:
-    searches = [CMAES(np.full(D, 0.5), 1 / 6, K) for _ in range(2)]
-    rng = np.random.default_rng(0)
-    z = searches[0].sample(K, rng)
-    for search in searches:
-        search.tell(z, sphere(z), np.zeros(K, bool))
-    before = [search.sigma for search in searches]
-    z = searches[0].sample(K, rng)
-    for i, search in enumerate(searches):
-        injected = np.zeros(K, bool)
-        injected[i] = i == 1
-        search.tell(z, sphere(z), injected)
-    assert searches[0].sigma != before[0]
-    assert searches[1].sigma == before[1]
 
 
 def test_the_step_size_follows_in_both_directions() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fide_plugins.search.one_search import Termination, default_patience, has_stalled, is_hopeless
+from fide_plugins.search.one_search import Termination, has_stalled, is_hopeless
 
 WIDE = np.full(4, 0.1)
 INF = float("inf")
@@ -50,16 +50,6 @@ def test_hope(history: list[float], goal: float, hopeless: bool) -> None:
         assert is_hopeless(history, goal) == hopeless
 
 
-def test_hope_does_not_depend_on_the_scale_or_origin_of_the_loss() -> None:
-    rng = np.random.default_rng(0)
-    for _ in range(200):
-        history = np.minimum.accumulate(rng.random(int(rng.integers(1, 12))))
-        goal = rng.random()
-        verdict = is_hopeless(history.tolist(), goal)
-        assert is_hopeless((64 * history).tolist(), 64 * goal) == verdict
-        assert is_hopeless((history - 2).tolist(), goal - 2) == verdict
-
-
 def test_a_search_that_stalls_is_over() -> None:
     progress = Termination(sigma0=1 / 6, patience=5, improvement=0.01)
     for generation in range(6):
@@ -79,20 +69,6 @@ def test_a_search_with_something_to_beat_is_over_sooner() -> None:
     assert bound.is_over(WIDE) and not free.is_over(WIDE)
 
 
-def test_a_collapsed_search_is_over() -> None:
-    progress = Termination(sigma0=1 / 6, patience=5, improvement=0.01)
-    assert progress.is_over(np.full(4, 1e-9))
-    assert not progress.is_over(np.array([1e-9, 1e-9, 1e-9, 0.1]))
-
-
-@pytest.mark.parametrize(
-    ("dim", "popsize", "generations"),
-    [(1, 4, 5), (40, 15, 5), (95, 16, 5), (96, 16, 6), (300, 21, 14), (512, 4, 128)],
-)
-def test_patience_grows_with_the_dimension(dim: int, popsize: int, generations: int) -> None:
-    assert default_patience(dim, popsize) == generations
-
-
 def test_a_search_by_losses_alone_ends_when_it_has_converged_or_nothing_is_better() -> None:
     """A tenth in ten generations is enough for a search that images guide, and too much to ask."""
     progress = Termination(sigma0=1.0, patience=10, improvement=0.1, loss_only_patience=30)
@@ -105,14 +81,6 @@ def test_a_search_by_losses_alone_ends_when_it_has_converged_or_nothing_is_bette
         assert not progress.is_over(np.array([0.5]), guided=False), generation
         progress.note(np.array([7.0]))
     assert progress.is_over(np.array([0.5]), guided=False)
-
-
-def test_what_nobody_asks_for_is_forgotten() -> None:
-    progress = Termination(sigma0=1.0, patience=10, improvement=0.1, loss_only_patience=30)
-    for generation in range(1000):
-        progress.note(np.array([1.0 / (1 + generation)]))
-    assert len(progress.history) == 31
-    assert progress.history[-1] == 1 / 1000
 
 
 @pytest.mark.parametrize(
@@ -132,17 +100,3 @@ def test_a_search_above_a_loss_has_to_be_quick(rate: float, above: float, over: 
         verdicts.append(search.is_over(WIDE))
     assert any(verdicts) == over
     assert not any(verdicts[:5])
-
-
-@pytest.mark.parametrize("to_the_end", [False, True])
-def test_a_narrow_search_goes_on_to_the_end_while_the_loss_falls(to_the_end: bool) -> None:
-    """Until it is 1e-7 of sigma0 wide: less than a pixel in single precision can tell."""
-    search = Termination(sigma0=1 / 6, patience=5, improvement=0.1, to_the_end=to_the_end)
-    for generation in range(8):
-        search.note(np.array([0.5**generation]))
-    assert search.is_over(np.full(4, 0.9e-3)) != to_the_end
-    assert search.is_over(np.full(4, 2e-8)) != to_the_end
-    assert search.is_over(np.full(4, 1e-8))
-    for _ in range(6):
-        search.note(np.array([1.0]))
-    assert search.is_over(np.full(4, 0.9e-3)) and search.is_over(WIDE)  # it no longer falls

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fide_plugins import FIDE, Choice, Float, Int, Space
-from fide_plugins.types import Float64, Solution
+from fide_plugins.types import Float64
 
 yy, xx = np.mgrid[0:32, 0:32] / 31.0
 SPACE = Space(
@@ -97,21 +97,14 @@ def test_a_point_that_was_never_asked_counts_as_what_is_rendered_there() -> None
     np.testing.assert_array_equal(opt.best.x, SPACE.snap(inexact))
 
 
-@pytest.mark.thorough
-def test_a_solution_keeps_the_standard_deviations_of_its_time() -> None:
-    """Whether they are read at once or later: they belong to the solution."""
-    first, second = (FIDE(SPACE, TARGET, seed=0) for _ in range(2))
-    kept: list[list[Float64 | None]] = []
-    for opt in (first, second):
-        solutions: list[Solution | None] = []
-        while opt.evaluations < 360:
-            step(opt)
-            solutions.append(opt.best)
-            if opt is first and opt.best is not None:
-                assert solutions[-1] is not None
-                assert (solutions[-1].std is None) == (opt.best.std is None)
-        kept.append([None if one is None else one.std for one in solutions])
-    for now, later in zip(*kept, strict=True):
-        np.testing.assert_array_equal(np.array(now, float), np.array(later, float))
-    known = [std for std in kept[0] if std is not None]
-    assert len(known) > 3 and not np.array_equal(known[0], known[-1])
+def test_a_space_of_numbers_is_searched_as_the_cube_to_the_bit() -> None:
+    space = Space(a=Float(-1, 1), b=Float(0.1, 1, log=True), c=Float(0, 9))
+    target = np.full((8, 8, 3), 0.5)
+    named, plain = FIDE(space, target, seed=1), FIDE(3, target, seed=1)
+    for _ in range(20):
+        X = plain.ask()
+        np.testing.assert_array_equal(named.ask(), X)
+        images = np.tile(X.mean(axis=1)[:, None, None, None], (1, 8, 8, 3))
+        named.tell(X, images)
+        plain.tell(X, images)
+    np.testing.assert_array_equal(named.recommend(), plain.recommend())

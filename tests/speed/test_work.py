@@ -6,14 +6,12 @@ change does less, lower the number; where more work buys something, raise it and
 
 from __future__ import annotations
 
-import inspect
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from functools import cache
 from typing import Any, TypeAlias
 
-import cv2
 import numpy as np
 import pytest
 import torch
@@ -21,9 +19,7 @@ from torch.nn.attention import SDPBackend, sdpa_kernel
 from torch.utils.flop_counter import FlopCounterMode
 
 import fide_tasks
-from fide_plugins import fide
 from fide_plugins.fide import FIDE
-from fide_plugins.population.candidate import columns
 from fide_plugins.proposers.diffusion import DiffusionProposer
 
 Counted: TypeAlias = Callable[[Counter[str]], AbstractContextManager[None]]
@@ -42,9 +38,6 @@ WORK: dict[str, dict[str, float]] = {
 # Million floating-point operations, as published at 112: of training, for an example and an epoch;
 # of proposing, for a candidate.
 TRAINING, PROPOSING = 82.36, 63.46
-# Values that OpenCV reads for one candidate, encoder and loss together, in those of its image: a
-# drawing, which is not despeckled. What NumPy and torch do with pixels is not counted.
-READ = {"dense": 3, "patch": 2}
 
 
 @cache
@@ -100,34 +93,6 @@ def test_work_for_one_candidate(counted_calls: Counted, preset: str, what: str) 
     assert found > stated / MORE, f"{preset} does less {what}, {found:.4g}: lower the number"
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"preset": "paper", "epochs": 1},
-        {"preset": "paper", "epochs": 1, "guard_images": True},
-        {"proposer": "linear", "guard_images": False},  # which learns when it is asked, too
-    ],
-)
-def test_tokens_that_nothing_judges_early_are_stacked_once(
-    options: dict[str, Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Of the published population of 500 they are hundreds of megabytes."""
-    stacked = 0
-
-    def counted(samples: Any) -> Any:
-        nonlocal stacked
-        stacked += len(samples)
-        return columns(samples)
-
-    monkeypatch.setattr(fide, "columns", counted)
-    task = fide_tasks.make("voronoi", size=56, seed=0)
-    opt = FIDE(task.dim, task.target, popsize=6, seed=0, device="cpu", **options)
-    while opt.evaluations < 36:
-        X = opt.ask(1)
-        opt.tell(X, task.render(X))
-    assert stacked == 36
-
-
 @contextmanager
 def operations() -> Iterator[FlopCounterMode]:
     """Count them; those of attention by its products, of whose kernel torch counts GPUs' only."""
@@ -145,34 +110,3 @@ def test_work_of_the_network() -> None:
     for counter, stated in ((training, TRAINING), (proposing, PROPOSING)):
         found = counter.get_total_flops() / 50 / 1e6
         assert stated / MORE < found < MORE * stated
-
-
-@contextmanager
-def read_by_opencv(count: Counter[str]) -> Iterator[None]:
-    """Count the values of arrays that OpenCV is given within this block."""
-
-    def counted(function: Any) -> Any:
-        def call(*arguments: Any, **options: Any) -> Any:
-            count["read"] += sum(a.size for a in arguments if isinstance(a, np.ndarray))
-            return function(*arguments, **options)
-
-        return call
-
-    with pytest.MonkeyPatch.context() as patch:
-        for name, function in inspect.getmembers(cv2, inspect.isbuiltin):
-            patch.setattr(cv2, name, counted(function))
-        yield
-
-
-@pytest.mark.parametrize("encoder", READ)
-def test_pixels_read_for_one_candidate(encoder: str) -> None:
-    count: Counter[str] = Counter()
-    task = fide_tasks.make("voronoi", size=56, seed=0)
-    # Coarse to fine would also reduce the first 36 images.
-    opt = FIDE(task.dim, task.target, encoder=encoder, seed=0, device="cpu", coarse_to_fine=False)
-    X = opt.ask()
-    images = task.render(X)
-    with read_by_opencv(count):
-        opt.tell(X, images)
-    found = count["read"] / images.size
-    assert READ[encoder] / MORE < found < MORE * READ[encoder]

@@ -1,4 +1,4 @@
-"""Beads, and what every Mitsuba task does: fidelity, seeds, workers, bad input."""
+"""Beads, and what every Mitsuba task does: fidelity, seeds, bad input."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 import fide_tasks
-from fide_tasks import Task, mitsuba_task, mitsuba_variant
+from fide_tasks import Task, mitsuba_task
 from fide_tasks.mitsuba_variant import problem_with
 
 pytest.importorskip("mitsuba", reason="Mitsuba is not installed: pip install mitsuba")
@@ -134,28 +134,6 @@ def test_scalar_gives_the_same_image_on_any_number_of_threads(size: Any) -> None
     np.testing.assert_array_equal(one.render(x, seed=5), eight.render(x, seed=5))
 
 
-def test_frames_are_denoised_and_references_are_not(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The denoiser of a GPU is played by one that makes all pixels even."""
-    import mitsuba
-
-    class Denoiser:
-        def __init__(self, size: list[int]) -> None:
-            assert size == [40, 12], "width and height"
-
-        def __call__(self, radiance: Any) -> Any:
-            return radiance * 0 + 0.25
-
-    plain, denoising = make((12, 40)), make((12, 40))
-    denoising.denoise = True  # type: ignore[attr-defined]
-    with mitsuba_variant.in_variant(denoising.variant):  # type: ignore[attr-defined]
-        monkeypatch.setattr(mitsuba, "OptixDenoiser", Denoiser, raising=False)
-    x = random_x(1)
-    gray = 1.055 * 0.25 ** (1 / 2.4) - 0.055
-    np.testing.assert_allclose(denoising.render(x), gray, atol=1e-6)
-    np.testing.assert_array_equal(denoising.reference(x[0]), plain.reference(x[0]))
-    np.testing.assert_array_equal(denoising.target, plain.target)
-
-
 def test_the_scene_is_loaded_once(monkeypatch: pytest.MonkeyPatch) -> None:
     loaded = []
     original = mitsuba_task._Loaded.__init__
@@ -216,10 +194,7 @@ def test_mitsuba_is_imported_only_when_a_frame_is_rendered() -> None:
         ({"reference_spp": 0}, "reference_spp must be"),
         ({"variant": "opencl"}, "variant must be one of 'auto', 'cuda', 'llvm', 'scalar'"),
         ({"variant": None}, "variant must be one of"),
-        ({"workers": 0}, "workers must be a whole number >= 1"),
         ({"threads": 0}, "threads must be a whole number >= 1"),
-        ({"denoise": "yes"}, "denoise must be True or False"),
-        ({"denoise": True, "variant": "scalar"}, "denoise=True needs .*OptiX.* 'cuda' only"),
         ({"beads": 7}, "beads has no option 'beads'; it has .*max_depth"),
         ({"size": 0}, "size must be a whole number >= 1"),
     ],

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import sys
 from pathlib import Path
 
 import pytest
@@ -22,14 +21,6 @@ def test_no_code_of_the_folder_is_run(tmp_path: Path, monkeypatch: pytest.Monkey
     (tmp_path / "numpy.py").write_text("raise SystemExit('code of the folder')")
     monkeypatch.chdir(tmp_path)
     assert isolated.failure("import numpy", seconds=60) is None
-
-
-def test_it_imports_what_this_process_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "sub").mkdir()
-    (tmp_path / "sub" / "only_here.py").touch()
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", ["sub", *sys.path])
-    assert isolated.failure("import only_here", seconds=60) is None
 
 
 @pytest.mark.skipif(importlib.util.find_spec("mitsuba") is None, reason="Mitsuba is not installed")

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import fide_tasks
-from fide_tasks import Task, mitsuba_variant
+from fide_tasks import Task
 
 pytest.importorskip("mitsuba", reason="Mitsuba is not installed: pip install mitsuba")
 ROUNDING = 1e-5
@@ -19,18 +19,6 @@ ROUNDING = 1e-5
 
 def make(variant: str = "cuda", **options: Any) -> Task:
     return fide_tasks.make("beads", 32, **{"spp": 16, "variant": variant, **options})
-
-
-def test_a_denoiser_that_cannot_run_is_refused_before_it_aborts_the_process(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """As where the driver has no file with its weights."""
-    monkeypatch.setattr(mitsuba_variant, "choose", lambda variant: "cuda_ad_rgb")
-    problem = "it aborts the process (signal 6)"
-    monkeypatch.setattr(mitsuba_variant, "problem_with_denoiser", lambda: problem)
-    with pytest.raises(ValueError, match=r"denoise=True.*signal 6.*leave.*out.*nvoptix\.bin"):
-        make(denoise=True)
-    make()  # which needs none
 
 
 @pytest.mark.gpu
@@ -52,17 +40,3 @@ def test_with_many_paths_it_is_the_image_of_a_processor() -> None:
     off = np.abs(there - here)
     assert (off > 6 * np.hypot(noise, noise) + 0.01).mean() < 0.02
     assert abs(float((there - here).mean())) < 3e-3
-
-
-@pytest.mark.gpu
-def test_the_denoiser_removes_noise_or_is_refused() -> None:
-    if (problem := mitsuba_variant.problem_with_denoiser()) is not None:
-        assert "it aborts the process" in problem
-        with pytest.raises(ValueError, match="does not run here"):
-            make(denoise=True)
-        return
-    plain, denoising = make(), make(denoise=True)
-    x = np.random.default_rng(0).random(18)
-    truth = plain.reference(x)
-    errors = [np.square(t.render(x[None])[0] - truth).mean() for t in (plain, denoising)]
-    assert errors[1] < 0.7 * errors[0]

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import logging
 import os
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -89,23 +87,6 @@ def test_a_variant_that_aborts_does_so_elsewhere(monkeypatch: pytest.MonkeyPatch
     assert "rendered nothing within" in str(mitsuba_variant._check_variant("llvm_ad_rgb", None))
 
 
-def test_a_missing_library_is_refused_by_name_in_a_real_process() -> None:
-    code = (
-        "from fide_tasks.mitsuba_variant import choose\n"
-        "print(choose('auto'))\n"
-        "try:\n    choose('llvm')\nexcept ValueError as error:\n    print(error)"
-    )
-    script = f"import sys; sys.path[:0] = {[p for p in sys.path if p]}\n{code}"
-    environment = {**os.environ, "DRJIT_LIBLLVM_PATH": "/nowhere/libLLVM.so"}
-    run = subprocess.run(
-        [sys.executable, "-c", script], env=environment, capture_output=True, text=True
-    )
-    chosen, refusal = run.stdout.strip().splitlines()
-    assert chosen in ("scalar_rgb", "cuda_ad_rgb")
-    assert "/nowhere/libLLVM.so: " in refusal
-    assert "apt-get install libllvm19" in refusal
-
-
 def test_without_mitsuba_it_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     import importlib.util
 
@@ -129,18 +110,3 @@ def test_the_variant_and_the_threads_of_others_are_put_back(
         assert dr.thread_count() == 1
     assert mi.variant() == other
     assert dr.thread_count() == threads
-
-
-def test_a_variant_that_cannot_be_set_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    import mitsuba as mi
-
-    one = choose("auto")
-    mi.set_variant(one)
-    monkeypatch.setattr(mitsuba_variant, "_left", one)
-    with pytest.raises((ImportError, AttributeError), match="nonsense"), in_variant("nonsense"):
-        pass
-    assert mi.variant() == one
-    other = "scalar_rgb" if one != "scalar_rgb" else "scalar_spectral"
-    with in_variant(other):
-        pass
-    assert mi.variant() == other, "nobody else has set one, so nothing is put back"

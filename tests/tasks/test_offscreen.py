@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import gc
-import os
 import pickle
 import subprocess
 import sys
 import threading
 import weakref
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +18,7 @@ from numpy.typing import NDArray
 
 import fide_tasks
 from fide_plugins.cli import doctor_command
-from fide_tasks import offscreen, robot
+from fide_tasks import robot
 from fide_tasks.offscreen import OffscreenError
 from fide_tasks.robot import Robot
 
@@ -85,18 +83,6 @@ def test_without_mujoco_it_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(ImportError, match=r"pip install mujoco .*extra robot"):
         fide_tasks.make("robot")
-
-
-def test_mujoco_is_imported_only_when_the_task_is_made() -> None:
-    script = (
-        f"import sys; sys.path[:0] = {[p for p in sys.path if p]}\n"
-        "import fide_tasks, fide_tasks.robot\n"
-        "fide_tasks.options('robot')\n"
-        "assert 'mujoco' not in sys.modules\n"
-        "fide_tasks.make('robot')\n"
-        "assert 'mujoco' in sys.modules and 'OpenGL' not in sys.modules\n"
-    )
-    subprocess.run([sys.executable, "-c", script], check=True, timeout=60)
 
 
 def test_an_image_too_large_for_opengl_is_an_error_and_others_still_work(task: Robot) -> None:
@@ -195,14 +181,6 @@ def alone(script: str) -> str:
     return done.stdout
 
 
-def test_where_a_fork_cannot_draw_it_says_so(task: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    task.render(random_x(1))
-    monkeypatch.setattr(offscreen, "_outlives_fork", False)
-    monkeypatch.setattr(offscreen, "_opened_by", os.getpid() + 1)
-    with pytest.raises(OffscreenError, match="does not outlive a fork: .*spawn"):
-        Robot(8).render(random_x(1))
-
-
 def test_closing_frees_and_the_next_render_opens_again(task: Robot) -> None:
     one = Robot(64)
     images = one.render(random_x(2))
@@ -213,49 +191,3 @@ def test_closing_frees_and_the_next_render_opens_again(task: Robot) -> None:
     assert not stage._finalizer.alive
     np.testing.assert_array_equal(one.render(random_x(2)), images)
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(one)).render(random_x(2)), images)
-
-
-needs_proc = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="needs /proc")
-
-
-MEMORY = """
-import os
-import numpy as np
-from fide_tasks.robot import Robot
-
-def resident():
-    with open("/proc/self/statm") as file:
-        return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
-
-def added(work, warm, n):
-    "Megabytes that each of n calls of `work` adds, after `warm` that may allocate."
-    sizes = []
-    for _ in range(warm + n + 1):
-        work()
-        sizes.append(resident())
-    return np.diff(sizes[warm:])
-
-def leaks(work, warm, n):
-    "The median of it: what leaks does so at every call, an allocator keeps some now and then."
-    return np.median(added(work, warm, n))
-
-X = np.random.default_rng(0).random((100, 7))
-kept = []
-"""
-
-
-def measured(*expressions: str) -> list[float]:
-    """Values of expressions of `MEMORY`'s names, in a process where nothing else allocates."""
-    return [float(word) for word in alone(f"{MEMORY}\nprint({', '.join(expressions)})").split()]
-
-
-@pytest.mark.thorough
-@needs_proc
-def test_neither_frames_nor_contexts_leave_memory_behind_and_contexts_that_stay_are_seen() -> None:
-    """One that stays takes 28 MB."""
-    frames, contexts, kept = measured(
-        "leaks(lambda task=Robot(64): task.render(X[:30]), warm=4, n=8)",
-        "leaks(lambda: Robot(64).render(X[:1]), warm=3, n=9)",
-        "leaks(lambda: kept.append(Robot(64)) or kept[-1].render(X[:1]), 3, 5)",
-    )
-    assert max(frames, contexts) < 0.5 and kept > 5

@@ -43,18 +43,6 @@ def test_links_are_where_the_product_of_denavit_and_hartenberg_puts_them(task: R
         np.testing.assert_allclose(task.link_poses(x), expected, rtol=0, atol=1e-9)
 
 
-def test_the_flange_is_where_the_product_puts_it(task: Robot) -> None:
-    import mujoco
-
-    low, width = task._range
-    data = mujoco.MjData(task._model)
-    for x in random_x(20):
-        task._pose(data, low + x * width)
-        site, expected = data.site("flange"), panda.frames(low + x * width)[7]
-        np.testing.assert_allclose(site.xpos, expected[:3, 3], rtol=0, atol=1e-9)
-        np.testing.assert_allclose(site.xmat.reshape(3, 3), expected[:3, :3], rtol=0, atol=1e-9)
-
-
 def test_every_joint_can_be_seen(task: Robot) -> None:
     x = task.x_star
     assert x is not None

@@ -1,4 +1,4 @@
-"""Robot: models of the user's own, with meshes, rooms and cameras; and what is no Panda."""
+"""Robot: models of the user's own, with rooms and cameras; and what is no Panda."""
 
 from __future__ import annotations
 
@@ -67,36 +67,6 @@ def test_a_model_file_has_the_same_kinematics(tmp_path: Path, task: Robot) -> No
     assert Robot(16, model=str(arm(tmp_path))).target.shape == (16, 16, 3)
 
 
-def write_stl(path: Path, size: tuple[float, float, float], center: tuple[float, ...]) -> None:
-    """A box as triangles in binary STL."""
-    corners = np.array([[i & 1, i >> 1 & 1, i >> 2] for i in range(8)]) * 2.0 - 1
-    corners = corners * size + center
-    faces = [
-        (0, 2, 3), (0, 3, 1), (4, 5, 7), (4, 7, 6), (0, 1, 5), (0, 5, 4),
-        (2, 6, 7), (2, 7, 3), (0, 4, 6), (0, 6, 2), (1, 3, 7), (1, 7, 5),
-    ]  # fmt: skip
-    record = np.zeros(12, [("normal", "<f4", 3), ("points", "<f4", (3, 3)), ("rest", "<u2")])
-    record["points"] = corners[np.array(faces)]
-    path.write_bytes(bytes(80) + np.uint32(12).tobytes() + record.tobytes())
-
-
-def with_mesh(folder: Path) -> Path:
-    extra = '<compiler meshdir="assets"/><asset><mesh name="hand" file="hand.stl"/></asset>'
-    mesh = '<geom type="mesh" mesh="hand" rgba="0 0 1 1"/>'
-    return arm(folder, extra=extra, mesh=mesh, name="panda_joint{}")
-
-
-def test_a_model_with_a_mesh_shows_it(tmp_path: Path) -> None:
-    (tmp_path / "box").mkdir()
-    (tmp_path / "mesh" / "assets").mkdir(parents=True)
-    write_stl(tmp_path / "mesh/assets/hand.stl", (0.02, 0.08, 0.02), (0, 0, 0.15))
-    X = random_x(4, 7)
-    mesh = Robot(96, model=with_mesh(tmp_path / "mesh")).render(X)
-    box = Robot(96, model=arm(tmp_path / "box")).render(X)
-    assert blue(mesh).any(axis=(1, 2)).sum() >= 3
-    assert np.abs(mesh - box).mean() < 2e-4
-
-
 def test_a_model_keeps_its_own_room_and_cameras(tmp_path: Path) -> None:
     extra = (
         '<asset><texture type="skybox" builtin="flat" rgb1="0 1 0" rgb2="0 1 0" width="8" '
@@ -160,8 +130,10 @@ def test_models_that_are_no_panda_are_named(
 def test_files_that_are_missing_or_malformed_are_named(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"no model file .*nothing.xml"):
         Robot(16, model=tmp_path / "nothing.xml")
+    extra = '<compiler meshdir="assets"/><asset><mesh name="hand" file="hand.stl"/></asset>'
+    file = arm(tmp_path, extra=extra, mesh='<geom type="mesh" mesh="hand"/>')
     with pytest.raises(FileNotFoundError, match=r"arm.xml.*hand.stl.*meshes"):
-        Robot(16, model=with_mesh(tmp_path))
+        Robot(16, model=file)
     bad = tmp_path / "bad.xml"
     for text in ("<mujoco><worldbody>", "<scene/>", "", "<mujoco><world/></mujoco>"):
         bad.write_text(text)
@@ -170,6 +142,6 @@ def test_files_that_are_missing_or_malformed_are_named(tmp_path: Path) -> None:
     (tmp_path / "assets").mkdir()
     (tmp_path / "assets/hand.stl").write_bytes(b"no triangles")
     with pytest.raises(ValueError, match=r"cannot load the model"):
-        Robot(16, model=with_mesh(tmp_path))
+        Robot(16, model=file)
     with pytest.raises(TypeError, match="model must be a path"):
         Robot(16, model=7)  # type: ignore[arg-type]

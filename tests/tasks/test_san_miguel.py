@@ -114,41 +114,12 @@ def test_x_star_depends_on_the_seed_alone() -> None:
     np.testing.assert_array_equal(one, two)
 
 
-def test_longer_paths_bring_light_around_corners() -> None:
-    x = AHEAD.copy()
-    x[1], x[4] = 0.15, 0.25  # under the arcade of the south side
-    first, bounced = (SanMiguel(24, max_depth=d).reference(x) for d in (2, -1))
-    assert np.abs(gray(first) - gray(bounced)).mean() > 0.01
-    own = SanMiguel(24, max_depth=1).reference(x)
-    assert gray(own).mean() < gray(bounced).mean()
-
-
-SQUARE = '<integer name="width" value="9"/><integer name="height" value="9"/>'
-FILM = f'<film type="hdrfilm">{SQUARE}</film>'
-SENSOR = f'<sensor type="perspective"><float name="fov" value="50"/>{FILM}</sensor>'
-SKY = '<emitter type="constant"><rgb name="radiance" value="0.2"/></emitter>'
-LAMP = '<emitter type="point" id="lamp"><rgb name="intensity" value="300, 0, 0"/></emitter>'
-# A box of 2 m to the right of AHEAD's view, over a floor.
-SHAPES = """
-<shape type="cube">
-  <transform name="to_world"><translate x="6" y="5.5" z="1"/></transform>
-</shape>
-<shape type="rectangle"><transform name="to_world">
-  <scale value="50"/><rotate x="1" angle="-90"/>
-</transform></shape>
-"""
 CUBE_OBJ = "".join(
     f"v {6 + x} {5.5 + y} {1 + z}\n" for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)
 ) + "".join(
     f"f {a}\n"
     for a in ("1 2 4 3", "5 7 8 6", "1 5 6 2", "3 4 8 7", "1 3 7 5", "2 6 8 4")
 )  # fmt: skip
-
-
-def scene(folder: Path, body: str) -> Path:
-    path = folder / "scene.xml"
-    path.write_text(f'<scene version="3.0.0">{body}</scene>')
-    return path
 
 
 def test_a_mesh_appears_where_the_camera_should_see_it(tmp_path: Path) -> None:
@@ -184,44 +155,6 @@ def test_a_mesh_has_the_colors_of_its_vertices(tmp_path: Path) -> None:
     assert image[0, 1] > image[-1, 1] + 0.1
 
 
-def test_an_xml_scene_keeps_its_field_of_view_and_moves_its_light(tmp_path: Path) -> None:
-    task = SanMiguel(32, scene=scene(tmp_path, SENSOR + SKY + LAMP + SHAPES), reference_spp=64)
-    assert task.x_star is not None
-    assert task.target.std() > 0.02
-    image = task.reference(AHEAD)
-    assert image[20:, :, 0].mean() > image[20:, :, 1].mean() + 0.03, "its own light is red"
-    # The side of the box toward the camera, at 50 degrees: columns (3 to 5) m / 9 m.
-    scale = 16 / np.tan(np.radians(25)) / 9
-    above = np.abs(image[15] - image[15, 0]).max(axis=1) > 0.02
-    assert np.flatnonzero(above).max() + 1 == pytest.approx(min(32, 16 + 5 * scale), abs=1)
-    far = AHEAD.copy()
-    far[5:] = 1.0
-    assert image[..., 0].mean() > task.reference(far)[..., 0].mean() + 0.01
-
-
-def test_a_scene_without_a_point_light_is_given_ours(tmp_path: Path) -> None:
-    task = SanMiguel(16, scene=scene(tmp_path, SENSOR + SKY + SHAPES), reference_spp=16)
-    bright = task.reference(AHEAD)
-    far = AHEAD.copy()
-    far[5:] = 1.0
-    assert bright.mean() > task.reference(far).mean() + 0.005
-
-
-@pytest.mark.parametrize(
-    ("body", "rule"),
-    [
-        (SENSOR + LAMP, "has no shape"),
-        (SENSOR + LAMP + '<shape type="teapot3"/>', "Mitsuba cannot load the scene .*teapot3"),
-        ('<sensor type="orthographic"/>' + LAMP + SHAPES, "must be of type 'perspective'"),
-    ],
-)
-def test_scenes_that_cannot_be_used_are_named(tmp_path: Path, body: str, rule: str) -> None:
-    path = scene(tmp_path, body)
-    with pytest.raises(ValueError, match=rule) as error:
-        SanMiguel(8, scene=path).render(AHEAD[None])
-    assert str(path) in str(error.value)
-
-
 @pytest.mark.parametrize(
     ("name", "text"),
     [("a.obj", "v 1 2 x\n"), ("a.obj", "# nothing\n"), ("a.ply", "ply nonsense\n")],
@@ -235,8 +168,8 @@ def test_meshes_that_cannot_be_used_are_named(tmp_path: Path, name: str, text: s
 @pytest.mark.parametrize(
     ("options", "error", "rule"),
     [
-        ({"scene": "missing.xml"}, FileNotFoundError, r"no scene file '.*missing\.xml'"),
-        ({"scene": "court.blend"}, ValueError, r"\.xml, \.obj, \.ply, not 'court\.blend'"),
+        ({"scene": "missing.obj"}, FileNotFoundError, r"no scene file '.*missing\.obj'"),
+        ({"scene": "court.xml"}, ValueError, r"\.obj, \.ply, not 'court\.xml'"),
         ({"spp": 0}, ValueError, "spp must be a whole number >= 1, not 0"),
         ({"max_depth": 0}, ValueError, "max_depth must be a whole number >= 1"),
         ({"variant": "opencl"}, ValueError, "variant must be one of 'auto'"),

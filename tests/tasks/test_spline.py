@@ -10,7 +10,7 @@ from scipy.interpolate import BSpline
 from scipy.spatial import KDTree
 
 import fide_tasks
-from fide_tasks.spline import FACES, Spline, _basis, ampersand
+from fide_tasks.spline import FACES, _basis, ampersand
 
 Array = NDArray[np.float64]
 HOLES = {  # the counters of each ampersand: the upper loop is open in the DejaVu family
@@ -95,17 +95,6 @@ def test_reversing_the_points_leaves_the_stroke() -> None:
         assert np.abs(one - other).mean() < 1e-3
 
 
-def test_parameters_and_their_decoding() -> None:
-    task = fide_tasks.make("spline", (100, 200), control_points=2)
-    assert task.dim == 5
-    assert task.decode([0.1, 0.2, 0.3, 0.4, 0.5]) == {
-        "point 1": {"x [px]": 20, "y [px]": 20},
-        "point 2": {"x [px]": 60, "y [px]": 40},
-        "stroke": {"thickness [px]": 50},
-    }
-    assert fide_tasks.make("spline").dim == 15
-
-
 @pytest.mark.parametrize("m", [2, 3, 7])
 def test_random_targets_are_never_degenerate(m: int) -> None:
     for seed in range(100):
@@ -138,11 +127,3 @@ def test_the_glyph_is_centered_and_fills_the_image(size: tuple[int, int]) -> Non
         assert 0.75 < max(extent) < 0.83
         assert abs(rows.min() + rows.max() + 1 - size[0]) <= 2
         assert abs(columns.min() + columns.max() + 1 - size[1]) <= 2
-
-
-def test_seeds_choose_typefaces_in_turn() -> None:
-    def target(seed: int) -> NDArray[np.float32]:
-        return fide_tasks.make("spline", 64, seed).target
-
-    np.testing.assert_array_equal(target(1), target(1 + len(FACES)))
-    assert Spline(64).target.shape == (64, 64, 3)

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import pickle
-import threading
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,16 +14,15 @@ from fide_plugins.population.candidate import TrainingSample
 from fide_plugins.search.scene import Axes
 from fide_plugins.space import Choice, Float, Int, Space
 from fide_plugins.types import Float32, Float64
-from fide_plugins.uncertainty import (
+from fide_plugins.uncertainty import LocalEstimate, estimate
+from fide_plugins.uncertainty.local_fit import (
+    WIDER,
     FitToTarget,
-    LocalEstimate,
     LocalFit,
+    _inverse,
     covariance,
-    estimate,
     fit_locally,
-    samples as selection,
 )
-from fide_plugins.uncertainty.local_fit import WIDER, _inverse, deviations
 from fide_plugins.uncertainty.samples import aligned
 
 D, F, N = 6, 300, 400
@@ -140,17 +137,6 @@ def test_a_step_along_which_nothing_changes_is_unseen_however_short(
     assert np.delete(std, 2).max() < 1e-3
 
 
-def test_a_parameter_with_a_small_effect_is_seen(rng: np.random.Generator) -> None:
-    small = MIXING.copy()
-    small[2] *= 1e-3
-    u = np.geomspace(0.3, 1e-4, N)[:, None] * rng.uniform(-1, 1, size=(N, D))
-    e = (HERE + u) @ small + 1e-7 * rng.normal(size=(N, F))
-    distances = np.square(e - HERE @ small).sum(axis=1)
-    fit = fit_locally(u, e, distances)
-    target = HERE @ small + 1e-5 * rng.normal(size=F)
-    assert covariance(FitToTarget(fit, target, F, float(distances.max())))[2, 2] < 0.01**2
-
-
 DIM, SIDE = 5, 16
 RAMPS = np.random.default_rng(2).uniform(-1, 1, (DIM, SIDE, SIDE, 3)) / DIM
 RAMPS[3] = 0.0  # of which the picture says nothing
@@ -197,37 +183,6 @@ def test_it_is_computed_when_it_is_read_and_once(monkeypatch: pytest.MonkeyPatch
     assert best is not None and found and not calls
     first = best.std
     assert first is not None and best.std is first and len(calls) == 1
-
-
-def test_two_threads_that_read_it_at_once_get_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One has its answer, and has emptied the samples, while the other is about to compute."""
-    opt = run(200)
-    first, second = opt.best, opt.best
-    assert first is not None and second is not None and first.estimate is not second.estimate
-    compute, other = LocalEstimate._compute, threading.Thread(target=lambda: first.std)
-
-    def late(self: LocalEstimate, *samples: Any) -> Any:
-        if self is first.estimate and threading.current_thread() is not other:
-            other.start()
-            other.join(20)
-            assert not other.is_alive()
-        return compute(self, *samples)
-
-    monkeypatch.setattr(LocalEstimate, "_compute", late)
-    assert first.std is not None and second.std is not None
-    np.testing.assert_array_equal(first.std, second.std)
-
-
-def test_a_solution_keeps_the_std_of_its_time() -> None:
-    first, second = run(150), run(150)
-    early, late = first.best, second.best
-    assert early is not None and late is not None
-    now = early.std
-    while second.evaluations < 300:
-        X = second.ask()
-        second.tell(X, render(X))
-    assert now is not None and late.std is not None
-    np.testing.assert_array_equal(late.std, now)
 
 
 def test_saved_and_pickled_it_is_the_same(tmp_path: Path) -> None:
@@ -292,24 +247,6 @@ def test_blocks_are_matched_or_left_out() -> None:
     np.testing.assert_allclose(found[:3], np.tile(x + 0.01, (3, 1)))
 
 
-def test_more_features_than_samples_change_nothing() -> None:
-    rng = np.random.default_rng(0)
-    X = rng.random((60, 3))
-    few = rng.normal(size=(3, 40))
-    wide = np.hstack([few, np.zeros((3, 4000))])  # zeros only dilute the noise of a feature
-    axes, noise = Axes(3), 0.01 * rng.normal(size=40)
-    stds = []
-    for mixing in (few, wide):
-        target = X[0] @ mixing
-        target[:40] += noise
-        tokens = torch.as_tensor(target.reshape(4, -1))
-        std = LocalEstimate(X[0], samples_of(X, X @ mixing), tokens, None, axes).std
-        assert std is not None
-        stds.append(std)
-    ratios = stds[0] / stds[1]
-    assert (ratios > 0.99).all()
-
-
 @pytest.mark.parametrize("kind", [np.float64, np.float32])
 def test_points_may_come_back_in_single_precision(kind: type) -> None:
     """The cell of 2 in 1 to 7 has its middle at 3/14, which single precision does not have."""
@@ -343,17 +280,6 @@ def test_a_solution_keeps_no_samples_once_it_was_read() -> None:
     assert isinstance(best.estimate, LocalEstimate) and not best.estimate.samples
 
 
-def test_blocks_of_many_samples_are_matched_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
-    rng = np.random.default_rng(0)
-    blocks, x = np.arange(12).reshape(4, 3), rng.random(12)
-    points = x + 0.05 * rng.standard_normal((50, 12))
-    points[:, blocks] = points[:, blocks[rng.permutation(4)]]
-    whole = aligned(points, x, blocks, Axes(12))
-    monkeypatch.setattr(selection, "_NUMBERS", 100)
-    for one, other in zip(aligned(points, x, blocks, Axes(12)), whole, strict=True):
-        np.testing.assert_array_equal(one, other)
-
-
 @pytest.mark.thorough
 def test_many_parameters_are_known_as_well_as_noisy_samples_tell() -> None:
     """A linear renderer with noise in each render; the samples are those of a search."""
@@ -371,13 +297,6 @@ def test_many_parameters_are_known_as_well_as_noisy_samples_tell() -> None:
     errors = np.abs(x - truth)
     assert (errors < 1.645 * std).mean() > 0.9
     assert np.median(std) < 4 * np.median(errors), "320 samples would say 8"
-
-
-def test_who_has_read_it_keeps_no_samples() -> None:
-    read, unread = run(200).best, run(200).best
-    assert read is not None and unread is not None and read.std is not None
-    assert isinstance(read.estimate, LocalEstimate) and isinstance(unread.estimate, LocalEstimate)
-    assert not read.estimate.samples and unread.estimate.samples
 
 
 MANY = Space(
@@ -417,13 +336,6 @@ def test_integers_and_choices_that_change_nothing_are_not_determined(
     sure = {"unseen", "pages"} if noise else {"unseen", "pages", "shift"}  # noise may hide a step
     assert sure <= set(one.undetermined) <= {"unseen", "pages", "shift"}
     assert pickle.loads(pickle.dumps(one)).undetermined == one.undetermined
-
-
-def test_numbers_that_the_picture_does_not_show_are_named() -> None:
-    several = [run(seed=seed).best for seed in range(8)]
-    named = [best.undetermined for best in several if best is not None]
-    assert set(named) <= {("x[3]",), ()} and named.count(("x[3]",)) > 3
-    assert Solution(TRUTH, 0.0, 0).undetermined == ()
 
 
 SCENE = Space(
@@ -516,16 +428,3 @@ def test_what_one_direction_hides_is_open(known: float, factor: float) -> None:
     expected = (np.eye(DIM) - along) / 12 + along / (12 + known)
     ratio = np.sqrt(np.diag(inverse) / np.diag(expected))
     assert (ratio > 1 / factor).all() and (ratio < factor).all()
-
-
-@pytest.mark.parametrize("width", [1e-16, 1e-15])
-def test_samples_in_the_last_digits_that_differ_in_one_direction(width: float) -> None:
-    """The precision along it hides the others behind its last digits: they count as open."""
-    rng = np.random.default_rng(0)
-    u = width * rng.normal(size=(200, DIM))
-    u -= u[0]
-    e = np.outer(np.tanh(u @ rng.normal(size=DIM) / width), rng.normal(size=50))
-    distances = np.square(e).sum(axis=1)
-    distances[0] = distances[1:].min()
-    model = FitToTarget(fit_locally(u, e, distances), np.ones(50), 50, distances.max())
-    assert ((deviations(model) > 0) & (deviations(model) <= 12**-0.5)).all()

@@ -1,6 +1,3 @@
-import gc
-import warnings
-import weakref
 from typing import Any
 
 import numpy as np
@@ -29,18 +26,10 @@ def test_a_canonical_batch_passes_through() -> None:
     ("batch", "single"),
     [
         pytest.param(BYTES, BYTES, id="uint8"),
-        pytest.param(RGB > 0.5, RGB > 0.5, id="bool"),
-        pytest.param(RGB.astype(np.float64), RGB, id="float64"),
-        pytest.param(RGB.astype(np.float16), RGB.astype(np.float16), id="float16"),
         pytest.param(GRAY, GRAY, id="nHW"),
-        pytest.param(GRAY[..., None], GRAY, id="nHW1"),
         pytest.param(RGBA, RGBA, id="nHW4"),
-        pytest.param(RGB[:, ::-1], RGB[:, ::-1], id="strided"),
         pytest.param(np.moveaxis(np.moveaxis(RGB, -1, 1).copy(), 1, -1), RGB, id="moved axis"),
-        pytest.param(torch.from_numpy(RGB), RGB, id="nHWC tensor"),
         pytest.param(torch.from_numpy(RGB).permute(0, 3, 1, 2), RGB, id="nCHW tensor"),
-        pytest.param(torch.from_numpy(GRAY), GRAY, id="nHW tensor"),
-        pytest.param(torch.from_numpy(GRAY)[:, None], GRAY, id="n1HW tensor"),
         pytest.param(list(RGB), RGB, id="list"),
         pytest.param(tuple(torch.from_numpy(RGB).permute(0, 3, 1, 2)), RGB, id="CHW tensors"),
         pytest.param([Image.fromarray(x) for x in BYTES], BYTES, id="PIL images"),
@@ -53,21 +42,10 @@ def test_a_batch_is_its_images(batch: Any, single: np.ndarray, shape: Any) -> No
     np.testing.assert_array_equal(out, np.stack([as_target(image) for image in single]))
 
 
-def test_a_mixed_list() -> None:
-    out = as_batch([BYTES[0], torch.from_numpy(RGB[1]).permute(2, 0, 1), GRAY[2], RGBA[3]], (5, 7))
-    expected = [as_target(x) for x in (BYTES[0], RGB[1], GRAY[2], RGBA[3])]
-    np.testing.assert_array_equal(out, np.stack(expected))
-
-
 def test_the_size_tells_tensor_axes_apart() -> None:
     tensor = torch.rand((2, 3, 5, 4), generator=torch.Generator().manual_seed(0))
     np.testing.assert_array_equal(as_batch(tensor, (5, 4)), tensor.permute(0, 2, 3, 1).numpy())
     np.testing.assert_array_equal(as_batch(tensor[..., :3], (3, 5)), tensor[..., :3].numpy())
-
-
-@pytest.mark.parametrize("images", [[], np.zeros((0, 5, 7, 3), np.uint8), RGB[:0]])
-def test_no_images_are_a_batch(images: Any) -> None:
-    assert as_batch(images, (5, 7)).shape == (0, 5, 7, 3)
 
 
 @pytest.mark.parametrize(
@@ -102,11 +80,6 @@ def test_one_image_per_point(images: Any) -> None:
         as_batch(images, (5, 7), n=3)
 
 
-def test_images_of_a_list_must_be_alike() -> None:
-    with pytest.raises(ImageError, match=r"image 1.*5 x 7.*got 4 x 7"):
-        as_batch([RGB[0], RGB[1, :4]])
-
-
 @pytest.mark.parametrize("make", [np.asarray, list], ids=["array", "list"])
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_values_outside_are_clipped_with_one_warning(make: Any, dtype: Any) -> None:
@@ -127,13 +100,6 @@ def test_the_caller_decides_about_the_warning() -> None:
     assert "give value_range=(0, 2." in str(told[0]) and "255" not in str(told[0])
 
 
-def test_rounding_is_clipped_silently() -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        out = as_batch(np.full((1, 5, 7, 3), 1.0000001, np.float32), (5, 7))
-    assert out.max() == 1.0
-
-
 @settings(max_examples=50, deadline=None)
 @given(
     st.sampled_from([np.float16, np.float32, np.float64, np.uint8, np.bool_]),
@@ -152,18 +118,6 @@ def test_any_batch_becomes_canonical(
     assert n == 0 or (out.min() >= 0 and out.max() <= 1)
 
 
-def test_no_reference_is_kept() -> None:
-    class Array(np.ndarray):
-        pass
-
-    images = BYTES.copy().view(Array)
-    alive = weakref.ref(images)
-    batch, target = as_batch(images, (5, 7)), as_target(images[0])
-    del images
-    gc.collect()
-    assert alive() is None and batch.flags.owndata and target.flags.owndata
-
-
 @pytest.mark.parametrize(
     "images",
     [
@@ -180,16 +134,3 @@ def test_floats_of_bytes_raise_as_a_target_does(images: Any) -> None:
             as_batch(told)
     with pytest.raises(ImageError, match="divide by 255" if whole else "value_range=.*same number"):
         as_target(images[0])
-
-
-@pytest.mark.parametrize("most", [1.5, 7.5, 300.5])
-def test_overexposed_renders_are_clipped(most: float) -> None:
-    images = np.full((1, 4, 4, 3), 0.25)
-    images[0, 0] = most
-    with pytest.warns(RuntimeWarning, match="clipped"):
-        assert as_batch(images).max() == 1.0
-
-
-def test_none_in_a_list_names_withdraw() -> None:
-    with pytest.raises(ImageError, match=r"image 1 is None.*withdraw\(X\[1 : 2\]\)"):
-        as_batch([np.zeros((4, 4, 3)), None])

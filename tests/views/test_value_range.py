@@ -9,7 +9,7 @@ import pytest
 from fide_plugins import FIDE, Float, Space, fit, load_run
 from fide_plugins.errors import CheckpointError, ImageError, OptionError
 from fide_plugins.recording.storage import RunDirectoryError, read_run
-from fide_plugins.validation.images import as_batch, load, save
+from fide_plugins.validation.images import as_batch
 from fide_plugins.validation.pixels import ValueRange
 
 V, U = np.mgrid[0:16, 0:16] / 15
@@ -174,24 +174,3 @@ def load_raw(path: Path) -> Any:
     from fide_plugins.validation.image_files import read_pixels
 
     return read_pixels(path, None, raw=True)
-
-
-@pytest.mark.parametrize("name", ["a.tif", "a.tiff", "a.hdr"])
-def test_floats_are_written_and_read(name: str, tmp_path: Path) -> None:
-    image = (RNG.random((6, 9, 3)) * 10 - (0 if name.endswith("hdr") else 5)).astype(np.float32)
-    save(tmp_path / name, image)
-    opt = FIDE(2, tmp_path / name, value_range=(-10, 20))
-    accuracy = 0.1 if name.endswith("hdr") else 1e-5
-    np.testing.assert_allclose(opt.target, image, atol=accuracy)
-    if not name.endswith("hdr"):
-        save(tmp_path / name, image[..., 0])
-        np.testing.assert_array_equal(load_raw(tmp_path / name), image[..., 0])
-    save(tmp_path / "b.png", np.clip(image, 0, 1))
-    np.testing.assert_allclose(load(tmp_path / "b.png"), np.clip(image, 0, 1), atol=0.501 / 255)
-
-
-def test_what_cannot_be_written(tmp_path: Path) -> None:
-    with pytest.raises(ImageError, match="written as '.xcf'"):
-        save(tmp_path / "a.xcf", TARGET)
-    with pytest.raises(ImageError, match="axes"):
-        save(tmp_path / "a.tif", np.zeros((2, 2, 2), np.float32))

@@ -118,7 +118,7 @@ def images(n: int = 4) -> list[Any]:
 @pytest.mark.parametrize(
     ("told", "message"),
     [
-        (images()[0], r"list of 2 batches.*\(n, 20, 24, C\), \(n, 12, 9, C\).*shape \(4, 20, 24"),
+        (images()[0], r"list of 2 batches \(n, H, W, C\).*20 x 24 \+ 12 x 9.*shape \(4, 20, 24"),
         (images()[:1], "list of 2 batches.*got 1 entries"),
         ([(a, b) for a, b in zip(*images(), strict=True)], r"4 entries.*list\(zip\(\*images\)\)"),
         (images()[::-1], "view 0: .*target's size, 20 x 24"),

@@ -23,7 +23,6 @@ def write_live(directory: Path, evaluations: int, best: float) -> None:
         "budget": 500,
         "seconds": 75.2,
         "best_loss": best,
-        "improvements": [[1, 0.5], [20, 0.03], [evaluations, best]],
         "parameters": [["azimuth", "12.5", "deg"], ["floor", "<b>wood</b>", ""]],
         "workers": 8,
         "busy": 7,

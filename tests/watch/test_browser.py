@@ -85,26 +85,6 @@ def test_losses_of_zero_and_below_have_a_curve(
     page.close()
 
 
-def test_a_wide_screen_has_the_parameters_beside_the_pictures(browser: Any, server: Server) -> None:
-    page = browser.new_page(viewport={"width": 1920, "height": 1080})
-    page.goto(server.url)
-    titled(page, "0.002")
-
-    def box(selector: str) -> dict[str, float]:
-        found: dict[str, float] = page.locator(selector).bounding_box()
-        return found
-
-    pictures, curve, table = box(".pictures"), box("#curve"), box("table")
-    assert curve["width"] > 1200 and pictures["width"] == curve["width"]
-    assert table["x"] > curve["x"] + curve["width"] and table["y"] < curve["y"]
-    size = page.evaluate("document.querySelector('#ticks text').getBoundingClientRect().height")
-    assert size < 25, "labels do not grow with the screen"
-    page.set_viewport_size({"width": 1000, "height": 900})  # a window that is made smaller
-    playwright.expect(page.locator("#curve")).to_have_attribute("viewBox", re.compile("^0 0 9"))
-    assert page.evaluate(CUT) == [] and box("table")["y"] > box("#curve")["y"]
-    page.close()
-
-
 @pytest.mark.thorough
 def test_it_says_when_nobody_answers(browser: Any, directory: Path) -> None:
     from fide_plugins.watch import serve
@@ -116,39 +96,6 @@ def test_it_says_when_nobody_answers(browser: Any, directory: Path) -> None:
     server.close()
     playwright.expect(page.locator("#status")).to_contain_text("may have ended")
     page.close()
-
-
-def test_dark_and_light(browser: Any, server: Server) -> None:
-    colors = {}
-    for scheme in ("light", "dark"):
-        context = browser.new_context(color_scheme=scheme)
-        page = context.new_page()
-        page.goto(server.url)
-        colors[scheme] = page.evaluate(
-            """() => [getComputedStyle(document.body).backgroundColor,
-                      getComputedStyle(document.body).color,
-                      getComputedStyle(document.getElementById("line")).stroke]"""
-        )
-        context.close()
-    assert colors["light"][0] == "rgb(255, 255, 255)" and colors["dark"][0] == "rgb(20, 22, 26)"
-    assert all(light != dark for light, dark in zip(*colors.values(), strict=True))
-
-
-@pytest.mark.parametrize("width", [320, 390])
-def test_a_phone_shows_it_without_scrolling_sideways(
-    browser: Any, server: Server, width: int
-) -> None:
-    context = browser.new_context(viewport={"width": width, "height": 700}, is_mobile=True)
-    page = context.new_page()
-    page.goto(server.url)
-    titled(page, "0.002")
-    assert page.evaluate("document.documentElement.scrollWidth") <= width
-    sizes = page.evaluate(
-        """() => [...document.querySelectorAll("#ticks text")].map(
-                 e => e.getBoundingClientRect().height)"""
-    )
-    assert sizes and min(sizes) >= 8
-    context.close()
 
 
 def test_another_site_cannot_read_it(browser: Any, server: Server, tmp_path: Path) -> None:

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 import fide_plugins
 from fide_plugins import Choice, Float, Group, Space
@@ -57,23 +56,6 @@ def test_a_fit_is_shown_while_it_goes_on(tmp_path: Path) -> None:
     assert after["best_loss"] <= during["best_loss"]
 
 
-def test_a_fit_of_two_views_and_a_mask(tmp_path: Path) -> None:
-    def both(params: dict[str, Any]) -> list[Float32]:
-        image = render(params)
-        return [image, image[:4]]
-
-    mask = np.zeros((4, 8), np.float32)
-    mask[:, 4:] = 1
-    target = both({"angle": 30.0, "level": 0.8})
-    out = tmp_path / "run"
-    options: dict[str, Any] = {"budget": 60, "workers": 0, "seed": 0, "mask": [None, mask]}
-    options["until"] = "budget"
-    result = fide_plugins.fit(both, target, SPACE, out=out, callbacks=[LiveFile()], **options)
-    assert result.evaluations == 60 and result.best is not None
-    assert isinstance(result.best.image, list) and result.best.image[1].shape == (4, 8, 3)
-    assert set(RunFiles(out).state()["pictures"]) == {"target.png", "best.png", "difference.png"}
-
-
 def test_a_call_without_a_page_shows_nothing_of_an_earlier_one(tmp_path: Path) -> None:
     out = tmp_path / "run"
     arguments: dict[str, Any] = {"workers": 0, "seed": 0, "out": out, "until": "budget"}
@@ -103,15 +85,6 @@ def test_it_writes_no_more_often_than_it_says(tmp_path: Path) -> None:
     assert end["evaluations"] == 9 and end["busy"] == 0
     rows = (tmp_path / "run/curve.csv").read_text().splitlines()
     assert end["best_loss"] == float(rows[-1].split(",")[2])
-
-
-def test_without_a_run_directory_nothing_is_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    target = render({"angle": 0.0, "level": 0.5})
-    fide_plugins.fit(render, target, SPACE, budget=9, workers=0, callbacks=[LiveFile()])
-    assert not list(tmp_path.iterdir())
 
 
 def test_a_run_of_the_command_line_is_shown(tmp_path: Path) -> None:

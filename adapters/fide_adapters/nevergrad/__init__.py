@@ -1,16 +1,4 @@
-"""FIDE as an optimizer for Nevergrad.
-
-    import nevergrad as ng
-    from fide_adapters.nevergrad import ImageLoss, ParametrizedFIDE  # registers "FIDE"
-
-    def objective(x):
-        image = render(x)
-        return ImageLoss(float(((image - target) ** 2).mean()), image)  # or just the image
-
-    parametrization = ng.p.Array(shape=(40,), lower=0, upper=1)
-    optimizer = ng.optimizers.registry["FIDE"](parametrization, budget=5000, num_workers=4)
-    optimizer.target = target  # or ParametrizedFIDE(target=target, ...)(parametrization, ...)
-    best = optimizer.minimize(objective, executor=executor).value
+"""FIDE as an optimizer for Nevergrad; see `docs/reference/nevergrad.md`.
 
 Importing this module registers the name FIDE, also if it is imported again, and changes no other.
 """
@@ -25,31 +13,19 @@ except ImportError as error:
     raise missing("nevergrad", "fide_adapters.nevergrad needs Nevergrad") from error
 
 from fide_adapters.image_loss import ImageLoss, ImageRef
-from fide_adapters.nevergrad.optimizer import IMAGE, DaskExecutor, NoImagesWarning, ParametrizedFIDE
+from fide_adapters.nevergrad.optimizer import NoImagesWarning, ParametrizedFIDE
 
-__all__ = [
-    "FIDE",
-    "IMAGE",
-    "DaskExecutor",
-    "ImageLoss",
-    "ImageRef",
-    "NoImagesWarning",
-    "ParametrizedFIDE",
-]
-
-_NAME = "FIDE"
+__all__ = ["FIDE", "ImageLoss", "ImageRef", "NoImagesWarning", "ParametrizedFIDE"]
 
 
 def _registered() -> ParametrizedFIDE:
     """The optimizer in the registry; registers it if it is not there."""
-    known = registry.get(_NAME)
+    known = registry.get("FIDE")
     if isinstance(known, ParametrizedFIDE):
         return known
-    if (
-        type(known).__module__ == ParametrizedFIDE.__module__
-    ):  # of an earlier import of this package
-        registry.unregister(_NAME)
-    made: ParametrizedFIDE = ParametrizedFIDE().set_name(_NAME, register=True)
+    if type(known).__module__ == ParametrizedFIDE.__module__:  # of an earlier import
+        registry.unregister("FIDE")
+    made: ParametrizedFIDE = ParametrizedFIDE().set_name("FIDE", register=True)
     return made
 
 

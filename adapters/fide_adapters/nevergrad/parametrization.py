@@ -22,17 +22,12 @@ l only                  2/pi arctan(pi (z - l) / 12)   slope 1/6 at the bound
 u only                  1 - 2/pi arctan(pi (u - z) / 12)
 ======================  =============================  ============================================
 
-For ``ng.p.Array(shape=..., lower=0, upper=1)``, whose sigma is a sixth of its range, the bounds are
-those of the cube, and the search begins as that of FIDE alone: in the middle, with a standard
-deviation of 1/6.  In general it begins at x(0), with the slope dx/dz there as standard deviation,
-but at most 1/3.
+The search begins at x(0), with the slope dx/dz there as standard deviation, but at most 1/3.  Axes
+whose bounds are at infinity in standardized space (methods `arctan` and `tanh`) are unbounded.
 
-Axes whose bounds are at infinity in standardized space (methods `arctan` and `tanh`) count as
-unbounded.
-
-An initial value that a user has chosen is a guess, which FIDE asks first.  Nevergrad chooses the
-middle of two bounds, and zero without bounds.  In standardized space each initial value is zero, so
-whether it was zero before is read from `_value` of the leaves: there is no public way.
+An initial value that a user has chosen is a guess, which FIDE asks first; the middle of two bounds,
+or zero without bounds, is Nevergrad's.  Standardized, each initial value is zero, so whether it was
+zero before is read from `_value` of the leaves: there is no public way.
 """
 
 from __future__ import annotations
@@ -72,9 +67,11 @@ class Cube:
         leaves = _leaves(parametrization)
         axes = _Axes(*_bounds(leaves, parametrization.dimension))
         numeric = np.ones(axes.dim, bool)  # axes of z that are read and written as such
-        initial = abs(_initial(leaves, axes.dim)) > _EDGE
+        values = [np.ravel(leaf._value) for leaf in leaves] or [np.zeros(axes.dim)]
+        initial = abs(np.concatenate(values)) > _EDGE
         given = axes.off_center | (axes.free & initial)
-        choices = _choices(parametrization)
+        parts = (each for _, each in helpers.flatten(parametrization))
+        choices = {id(each.indices): each for each in parts if isinstance(each, p.BaseChoice)}
         kinds: list[Kind] = []
         stds: list[Float64] = []
         self._by_value: list[tuple[int, slice]] = []  # other leaves, and columns of their values
@@ -189,12 +186,6 @@ class _Axes:
 # -- values ----------------------------------------------------------------------------------------
 
 
-def _choices(parametrization: Any) -> dict[int, Any]:
-    """`Choice` and `TransitionChoice` by the id of their leaf."""
-    found = (each for _, each in helpers.flatten(parametrization))
-    return {id(each.indices): each for each in found if isinstance(each, p.BaseChoice)}
-
-
 def _kinds(leaf: Any, choice: Any) -> list[Kind]:
     """What the values of a leaf are; [] where it is read and written by its standardized data.
 
@@ -255,11 +246,6 @@ def _leaves(parametrization: Any) -> list[Any]:
     leaves: list[Any] = helpers.list_data(parametrization)
     known = sum(leaf.dimension for leaf in leaves) == parametrization.dimension
     return leaves if known else []
-
-
-def _initial(leaves: list[Any], dim: int) -> Float64:
-    """Initial values (d,) of the leaves, before bounds and logarithms."""
-    return np.concatenate([np.ravel(leaf._value) for leaf in leaves]) if leaves else np.zeros(dim)
 
 
 def _bounds(leaves: list[Any], dim: int) -> tuple[Float64, Float64]:

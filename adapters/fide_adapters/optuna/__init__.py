@@ -1,17 +1,5 @@
 """FIDE as a sampler for Optuna.
 
-    import optuna
-    from fide_adapters.optuna import FIDESampler
-
-    sampler = FIDESampler(target=picture, seed=0)
-    study = optuna.create_study(sampler=sampler)
-
-    def objective(trial):
-        image = render(trial.suggest_float("x", 0, 1), trial.suggest_float("y", 0, 1))
-        return sampler.tell_image(trial, image)
-
-    study.optimize(objective, n_trials=1000)
-
 Any number of processes may work on one study.  Each makes its own sampler with the same settings;
 they share nothing but Optuna's storage.  `docs/reference/optuna.md` explains how they agree.
 """

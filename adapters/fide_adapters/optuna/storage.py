@@ -1,35 +1,17 @@
-"""What FIDE writes into Optuna's storage, and how a sampler reads a study from there.
+"""What FIDE writes into Optuna's storage, and how it is read: JSON, with a version.
 
-System attributes, JSON, with a version:
-
-================  ==================================================================================
-``fide:ask``      of a trial, written when its parameters are drawn: which candidate it is, and
-                  what was decided about other trials (see `trials`)
-``fide:image``    of a trial, written by `tell_image`: the features of its image (see `images`)
-                  (both with a digest of target and loss: losses of another problem do not count)
-``fide:guess``    of trial 0, if it was enqueued: a search of FIDE begins with it
-``fide:seed``     of a study: the seed of samplers that were given none
-================  ==================================================================================
-
-Anybody may write to a shared database.  So each field that is read is checked, nothing is ever
+Anybody may write to a shared database, so each field that is read is checked, nothing is ever
 executed, and an attribute that is not valid is ignored with one warning.
-
-This module uses underscored names of Optuna: `_storage`, `_study_id`, `_trial_id` and
-`_get_trials`.  They have no public counterpart that would do: under `HyperbandPruner` a sampler
-gets a study without public attributes, and the public methods copy every trial.  Optuna's own
-samplers use the same names.  The only other one is `_base_sampler` of `PartialFixedSampler`, in
-`sampler`: by it `image_objective` finds the sampler inside.
 """
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from optuna.storages import BaseStorage, InMemoryStorage
+from optuna.storages import BaseStorage
 from optuna.study import Study
 from optuna.trial import FrozenTrial, Trial
 
@@ -37,27 +19,26 @@ from fide_plugins.runtime.messages import warn_user
 
 __all__ = [
     "ASK",
-    "GUESS",
     "IMAGE",
     "MOST_NAMED",
     "SEED",
     "Ask",
-    "TrialReader",
     "Trials",
     "WarnOnce",
-    "enqueued_in",
     "id_of",
-    "problems_of",
+    "problem_of",
     "read_ask",
     "read_image",
     "read_seed",
+    "read_trials",
     "storage_of",
+    "write_ask",
     "write_attribute",
     "write_image",
     "write_seed",
 ]
 
-ASK, GUESS, IMAGE, SEED = "fide:ask", "fide:guess", "fide:image", "fide:seed"
+ASK, IMAGE, SEED = "fide:ask", "fide:image", "fide:seed"
 
 MOST_NAMED = 8
 """Trials of each kind that one record may name; further ones are named by the next record."""
@@ -65,123 +46,96 @@ MOST_NAMED = 8
 Trials = Sequence[FrozenTrial]
 """All trials of a study, in the order of their numbers, which begin at 0."""
 
-_VERSION = 1
+_VERSION = 2
 _LARGEST = 2**53
-
-
-# -- records ---------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
 class Ask:
-    """Which candidate a trial got.
+    """Which candidate a trial got, written when its parameters are drawn.
 
-    optimizer: digest of search space and settings; generations and slots are comparable only
-        between trials in which it is equal.
+    optimizer: digest of settings, problem and search space; generations and slots are comparable
+        only between trials in which it is equal.
     generation, slot: name of the candidate, see `fide_plugins.distributed.replica`.
     began: generation in which the search began that the candidate belongs to.
     guided: False if only losses, not images, said where it began.
     proposed: whether a proposer made the candidate.
     skipped: numbers of unfinished trials that nobody waits for from here on.
     late: numbers of skipped trials that have finished since; they count here.
-    problem: digest of target and loss, see `images.ImageEvaluator.problem`; None: not recorded.
+    problem: digest of target and loss, see `images.ImageEvaluator.problem`; None without a target.
     """
 
     optimizer: str
     generation: int
     slot: int
     began: int = 0
+    guided: bool = True
     proposed: bool = False
     skipped: tuple[int, ...] = ()
     late: tuple[int, ...] = ()
-    guided: bool = True
     problem: str | None = None
 
-    def read_for(self, problem: str | None) -> Ask:
-        """Copy that names no optimizer of this problem if the record is of another one.
 
-        Names of candidates, and when a search began, mean nothing to a search for another target.
-        """
-        if self.problem in (None, problem):
-            return self
-        return replace(self, optimizer=f"{self.optimizer} {self.problem}")
-
-    def about_trials_before(self, number: int) -> Ask:
-        """Copy that names no trials from `number` on; a record can only be about earlier ones."""
-        if all(n < number for n in (*self.skipped, *self.late)):
-            return self
-        skipped, late = (tuple(n for n in all_ if n < number) for all_ in (self.skipped, self.late))
-        return replace(self, skipped=skipped, late=late)
-
-    def to_json(self) -> dict[str, Any]:
-        """Record for the storage."""
-        record: dict[str, Any] = {"v": _VERSION, "m": self.optimizer}
-        record |= {"g": self.generation, "i": self.slot}
-        optional = {
-            "b": self.began,
-            "p": int(self.proposed),
-            "passed": list(self.skipped),
-            "late": list(self.late),
-            "a": int(not self.guided),
-            "t": self.problem,
-        }
-        return record | {key: value for key, value in optional.items() if value}
+def write_ask(storage: BaseStorage, trial: FrozenTrial, ask: Ask) -> None:
+    """Record which candidate a trial got."""
+    write_attribute(storage, trial, ASK, {"v": _VERSION, **asdict(ask)})
 
 
-def read_ask(record: Any) -> Ask | None:
-    """Undo `Ask.to_json`; None for anything else."""
-    if not isinstance(record, dict) or record.get("v") != _VERSION:
+def read_ask(trial: FrozenTrial) -> Ask | None:
+    """Record of a trial; None if there is no valid one."""
+    fields = _fields(trial, ASK)
+    try:
+        ask = Ask(**fields)
+        named = [*ask.skipped, *ask.late]
+        valid = (
+            isinstance(ask.optimizer, str)
+            and isinstance(ask.problem, str | None)
+            and _are_counts([ask.generation, ask.slot, ask.began, *named])
+            and {type(ask.guided), type(ask.proposed)} == {bool}
+            and max(len(ask.skipped), len(ask.late)) <= MOST_NAMED
+            and all(number < trial.number for number in named)  # it is about earlier trials
+        )
+    except TypeError:
         return None
-    optimizer, skipped, late = record.get("m"), record.get("passed", []), record.get("late", [])
-    counts = [record.get("g"), record.get("i"), record.get("b", 0), record.get("p", 0)]
-    counts.append(record.get("a", 0))
-    problem = record.get("t")
-    if not (isinstance(optimizer, str) and isinstance(skipped, list) and isinstance(late, list)):
-        return None
-    if not (problem is None or isinstance(problem, str)):
-        return None
-    if max(len(skipped), len(late)) > MOST_NAMED or not _are_counts([*counts, *skipped, *late]):
-        return None
-    generation, slot, began, proposed, loss_only = counts
-    named = tuple(skipped), tuple(late)
-    return Ask(optimizer, generation, slot, began, bool(proposed), *named, not loss_only, problem)
+    return ask if valid else None
+
+
+def write_image(trial: Trial, codec: str, code: str, problem: str) -> None:
+    """Record the `code` of an image by the codec with that digest, and that of target and loss."""
+    record = {"v": _VERSION, "codec": codec, "code": code, "problem": problem}
+    write_attribute(storage_of(trial.study), trial, IMAGE, record)
+
+
+def read_image(trial: FrozenTrial, codec: str) -> str | None:
+    """Code of a trial's image, by the codec with that digest; None if there is no valid one."""
+    fields = _fields(trial, IMAGE)
+    code = fields.get("code")
+    return code if isinstance(code, str) and fields.get("codec") == codec else None
+
+
+def problem_of(trial: FrozenTrial) -> str | None:
+    """Digest of target and loss by which a trial was scored; None if no valid record says it."""
+    told, ask = _fields(trial, IMAGE).get("problem"), read_ask(trial)
+    if isinstance(told, str):
+        return told
+    return None if ask is None else ask.problem
+
+
+def _fields(trial: FrozenTrial, key: str) -> dict[str, Any]:
+    """Fields of a record of this version; {} for anything else."""
+    record = trial.system_attrs.get(key)
+    if not isinstance(record, Mapping) or record.get("v") != _VERSION:
+        return {}
+    return {name: value for name, value in record.items() if name != "v"}
 
 
 def _are_counts(values: list[Any]) -> bool:
     return all(type(value) is int and 0 <= value < _LARGEST for value in values)
 
 
-def write_image(codec: str, code: str, problem: str) -> dict[str, Any]:
-    """Record of an image: its `code` by the codec with that digest, and that of target and loss."""
-    return {"v": _VERSION, "c": codec, "d": code, "t": problem}
-
-
-def read_image(record: Any, codec: str) -> str | None:
-    """Code of an image, written by the codec with that digest; None for anything else."""
-    if not isinstance(record, dict) or record.get("v") != _VERSION or record.get("c") != codec:
-        return None
-    code = record.get("d")
-    return code if isinstance(code, str) else None
-
-
-def problems_of(trial: FrozenTrial) -> set[str]:
-    """Digests of target and loss in a trial's valid records; empty if none says it.
-
-    There are two if one sampler asked for the trial, and another told its image.
-    """
-    image, ask = trial.system_attrs.get(IMAGE), read_ask(trial.system_attrs.get(ASK))
-    told = image.get("t") if isinstance(image, dict) and image.get("v") == _VERSION else None
-    asked = None if ask is None else ask.problem
-    return {problem for problem in (told, asked) if isinstance(problem, str)}
-
-
-def enqueued_in(trial: FrozenTrial) -> Mapping[str, Any]:
-    """Parameters that a user has enqueued the trial with; empty if it was not enqueued."""
-    params = trial.system_attrs.get("fixed_params")  # so `Study.enqueue_trial` writes it
-    return params if isinstance(params, Mapping) else {}
-
-
 # -- a study ---------------------------------------------------------------------------------------
+# Underscored names of Optuna, which its own samplers use, too: under `HyperbandPruner` a sampler
+# gets a study without public attributes, and the public methods copy every trial.
 
 
 def storage_of(study: Study) -> BaseStorage:
@@ -192,6 +146,11 @@ def storage_of(study: Study) -> BaseStorage:
 def id_of(study: Study) -> tuple[int, str]:
     """Number and name of a study in its storage."""
     return study._study_id, study.study_name
+
+
+def read_trials(study: Study) -> Trials:
+    """All trials as they are now; do not change them."""
+    return study._storage.get_all_trials(study._study_id, deepcopy=False)
 
 
 def write_attribute(storage: BaseStorage, trial: Trial | FrozenTrial, key: str, value: Any) -> None:
@@ -216,58 +175,14 @@ def write_seed(study: Study) -> int:
     return seed
 
 
-class TrialReader:
-    """All trials of one study, without copying a list of thousands before each trial.
-
-    Most storages keep track of what is new, or query a database.  `InMemoryStorage` copies its
-    list; there each trial is fetched by its number until it has finished.
-    """
-
-    def __init__(self) -> None:
-        self._trials: list[FrozenTrial] = []
-        self._unfinished: set[int] = set()
-
-    def read(self, study: Study) -> Trials:
-        """All trials as they are now; do not change the list."""
-        if not isinstance(study._storage, InMemoryStorage):
-            return study._get_trials(deepcopy=False, use_cache=False)
-        self._fetch_new(study._storage, study._study_id)
-        for number in sorted(self._unfinished):
-            trial = study._storage.get_trial(self._trials[number]._trial_id)
-            self._trials[number] = trial
-            if trial.state.is_finished():
-                self._unfinished.discard(number)
-        return self._trials
-
-    def _fetch_new(self, storage: InMemoryStorage, study_id: int) -> None:
-        while True:
-            number = len(self._trials)
-            try:
-                trial_id = storage.get_trial_id_from_study_id_trial_number(study_id, number)
-            except KeyError:  # there are no more
-                return
-            self._trials.append(storage.get_trial(trial_id))
-            self._unfinished.add(number)
-
-    def __getstate__(self) -> Mapping[str, Any]:
-        return {"_trials": [], "_unfinished": set()}
-
-
 class WarnOnce:
-    """Warnings and log entries, each subject once: a sampler is called for thousands of trials."""
+    """Warnings, each subject once: a sampler is called for thousands of trials."""
 
     def __init__(self) -> None:
-        self.subjects: set[str] = set()
-        """Subjects that were reported."""
+        self._subjects: set[str] = set()
 
-    def warn(self, subject: str, message: str) -> None:
-        """Issue a RuntimeWarning: something is wrong."""
-        if subject not in self.subjects:
-            self.subjects.add(subject)
+    def __call__(self, subject: str, message: str) -> None:
+        """Issue a RuntimeWarning."""
+        if subject not in self._subjects:
+            self._subjects.add(subject)
             warn_user(message)
-
-    def log(self, subject: str, message: str) -> None:
-        """Log a warning: nothing is wrong, but it may not be what the user meant."""
-        if subject not in self.subjects:
-            self.subjects.add(subject)
-            logging.getLogger("fide_adapters.optuna").warning(message)

@@ -114,10 +114,10 @@ class Baseline(Saved):
 
     own_options: ClassVar[tuple[str, ...]] = ()
     """Arguments of a subclass's constructor that are attributes, beside those of its bases."""
+    more_options: ClassVar[tuple[str, ...]] = ()
+    """Arguments of its constructor that it takes by ``**options``."""
     keeps_features: ClassVar[bool] = True
     """Whether the history holds the features of images, for the replay."""
-    training = False
-    """No baseline trains in the background."""
     status = None
     """No baseline says how its run is going, as `FIDE.status` does."""
 
@@ -179,7 +179,7 @@ class Baseline(Saved):
             return np.array([candidate.x for candidate in self._hand_out(n)])
 
     def ask_ready(self) -> Float64:
-        """As `ask`: no candidate of a baseline waits for training."""
+        """As `ask`."""
         return self.ask()
 
     @one_at_a_time

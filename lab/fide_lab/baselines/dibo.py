@@ -269,31 +269,29 @@ POOL_JITTER = 1e-2  # noise on points of the pool
 RATE, POSTERIOR_RATE, SEARCH_RATE = 1e-3, 1e-4, 1e-2  # of Adam
 
 
-def _option(rule: Rule) -> Any:
-    return field(metadata={"rule": rule})
+def _option(default: float, rule: Rule) -> Any:
+    return field(default=default, metadata={"rule": rule})
 
 
 @dataclass(frozen=True)
 class RoundOptions:
-    """What `DiBO` documents; the defaults are those of its constructor."""
+    """What `DiBO` documents; OptionError (a ValueError) for an option out of range."""
 
-    proxy_epochs: int = _option(whole(1))
-    prior_epochs: int = _option(whole(1))
-    posterior_epochs: int = _option(whole(0))
-    search_epochs: int = _option(whole(0))
-    proposals: int = _option(whole(1))
-    diffusion_steps: int = _option(whole(2))
-    alpha: float = _option(positive)
-    gamma: float = _option(positive)
-    width: int = _option(whole(1))
-    proxy_width: int = _option(whole(1))
-    batch: int = _option(whole(1))
+    proxy_epochs: int = _option(50, whole(1))
+    prior_epochs: int = _option(50, whole(1))
+    posterior_epochs: int = _option(50, whole(0))
+    search_epochs: int = _option(30, whole(0))
+    proposals: int = _option(10, whole(1))
+    diffusion_steps: int = _option(30, whole(2))
+    alpha: float = _option(1e-4, positive)
+    gamma: float = _option(1.0, positive)
+    width: int = _option(512, whole(1))
+    proxy_width: int = _option(256, whole(1))
+    batch: int = _option(256, whole(1))
 
-    @classmethod
-    def checked(cls, **given: Any) -> RoundOptions:
-        """Options, each checked by its rule; OptionError (a ValueError) if one breaks it."""
-        rules = {option.name: option.metadata["rule"] for option in fields(cls)}
-        return cls(**{name: rules[name](name, value) for name, value in given.items()})
+    def __post_init__(self) -> None:
+        for option in fields(self):
+            option.metadata["rule"](option.name, getattr(self, option.name))
 
 
 class Round:
@@ -437,6 +435,7 @@ class DiBO(Baseline):
 
     name: ClassVar[str] = "dibo"
     own_options = ("initial", "buffer", "precision")
+    more_options = tuple(option.name for option in fields(RoundOptions))
 
     def __init__(
         self,
@@ -445,30 +444,15 @@ class DiBO(Baseline):
         *,
         initial: int = 100,
         buffer: int = 300,
-        proxy_epochs: int = 50,
-        prior_epochs: int = 50,
-        posterior_epochs: int = 50,
-        search_epochs: int = 30,
-        proposals: int = 10,
-        diffusion_steps: int = 30,
-        alpha: float = 1e-4,
-        gamma: float = 1.0,
-        width: int = 512,
-        proxy_width: int = 256,
-        batch: int = 256,
         precision: str = "double",
         **options: Any,
     ) -> None:
+        of_rounds = {name: options.pop(name) for name in self.more_options if name in options}
         super().__init__(dim, target, **options)
         self.initial = whole_number("initial", initial, 2)
         self.buffer = whole_number("buffer", buffer, 2)
         self.precision = one_of("double", "single")("precision", precision)
-        self.round_options = RoundOptions.checked(
-            proxy_epochs=proxy_epochs, prior_epochs=prior_epochs,
-            posterior_epochs=posterior_epochs, search_epochs=search_epochs, proposals=proposals,
-            diffusion_steps=diffusion_steps, alpha=alpha, gamma=gamma, width=width,
-            proxy_width=proxy_width, batch=batch,
-        )  # fmt: skip
+        self.round_options = RoundOptions(**of_rounds)
         self._rng = np.random.default_rng(self.seed)
         self._generator = torch.Generator().manual_seed(int(self._rng.integers(2**63)))
         self._points: Float64 = np.empty((0, self.dim))  # the buffer

@@ -150,13 +150,6 @@ class Sequential(Baseline):
         self.starts = 0  # searches begun so far
         self._penalty = Penalty()
         self._library: ReverseCommunication | None = None
-        self._closed = False
-
-    def close(self) -> None:
-        """End the library's thread, as happens to an optimizer that is no longer referred to."""
-        self._closed = True
-        if self._library is not None:
-            self._library.close()
 
     def _search(self) -> Search:
         """The next search, of which `starts` were begun before; it must not refer to self."""
@@ -172,8 +165,6 @@ class Sequential(Baseline):
 
     def _sample(self) -> Float64:
         """Point (1, dim) whose value the search waits for; begins a search if there is none."""
-        if self._closed:
-            raise ProtocolError(f"this {self.name} was closed; make or load another one")
         for _ in range(2):  # a search that is over is followed by another, which has a point
             if self._library is None or self._library.over:
                 self._library = ReverseCommunication(self._search(), self._surroundings())
@@ -291,10 +282,10 @@ class DFOLS(ImageBased, Sequential):
         changes nothing, and the linear model is blind.  Later starts are uniform in the box.
     channels: of the tokens of the encoder; by default the mean colors of 14 x 14 patches.
     radius: of the first trust region, at most 0.5.
-    noisy: whether DFO-LS is told that the function is noisy, which makes its radius shrink slowly;
-        the default, because an image changes in steps where an edge passes a pixel.
-    soft_restarts: whether a search that has converged goes on by DFO-LS's own restarts, from its
-        best point with a new radius, before it begins elsewhere.
+
+    DFO-LS is told that the function is noisy, which makes its radius shrink slowly, because an
+    image changes in steps where an edge passes a pixel; a search that has converged goes on by its
+    own restarts, from its best point with a new radius, before it begins elsewhere.
 
     Residuals are divided by the root of their number, so the sum of their squares is a mean.  The
     search does not use the loss, which only decides which point is `best`.  The other options are
@@ -305,7 +296,7 @@ class DFOLS(ImageBased, Sequential):
     """
 
     name: ClassVar[str] = "dfols"
-    own_options = ("radius", "noisy", "soft_restarts")
+    own_options = ("radius",)
 
     def __init__(
         self,
@@ -314,21 +305,16 @@ class DFOLS(ImageBased, Sequential):
         *,
         channels: int | None = 3,
         radius: float = 0.1,
-        noisy: bool = True,
-        soft_restarts: bool = True,
         **options: Any,
     ) -> None:
         super().__init__(dim, target, channels=channels, **options)
         if isinstance(radius, bool) or not isinstance(radius, int | float) or not 0 < radius <= 0.5:
             raise OptionError(f"radius must lie in (0, 0.5], not {radius!r}")
-        for option, value in (("noisy", noisy), ("soft_restarts", soft_restarts)):
-            if not isinstance(value, bool):
-                raise OptionError(f"{option} must be True or False, not {value!r}")
         try:
             import dfols  # noqa: F401
         except ImportError as error:
             raise missing("dfols", "dfols needs the package DFO-LS") from error
-        self.radius, self.noisy, self.soft_restarts = float(radius), noisy, soft_restarts
+        self.radius = float(radius)
         self._rng = np.random.default_rng(self.seed)
         self._global_random = GlobalRandom(self.seed)
 
@@ -337,10 +323,7 @@ class DFOLS(ImageBased, Sequential):
             x0 = np.clip(0.5 + self.sigma0 * self._rng.standard_normal(self.dim), 0.0, 1.0)
         else:
             x0 = self._rng.random(self.dim)
-        settings = {"restarts.use_restarts": self.soft_restarts}
-        return partial(
-            least_squares, x0=x0, radius=self.radius, noisy=self.noisy, settings=settings
-        )
+        return partial(least_squares, x0=x0, radius=self.radius)
 
     def _answer(self, loss: float, features: Float32 | None) -> Float64:
         assert features is not None
@@ -352,22 +335,14 @@ class DFOLS(ImageBased, Sequential):
         return self._global_random.lent_quietly
 
 
-def least_squares(
-    function: Any, x0: Float64, radius: float, noisy: bool, settings: dict[str, Any]
-) -> None:
+def least_squares(function: Any, x0: Float64, radius: float) -> None:
     """One search of DFO-LS in the unit box, from x0, until it has converged."""
     import dfols
 
     dfols.solve(
-        function,
-        x0,
-        bounds=(np.zeros(len(x0)), np.ones(len(x0))),
-        rhobeg=radius,
-        maxfun=LONGEST,
-        objfun_has_noise=noisy,
-        user_params=settings,
-        do_logging=False,
-    )
+        function, x0, bounds=(np.zeros(len(x0)), np.ones(len(x0))), rhobeg=radius, maxfun=LONGEST,
+        objfun_has_noise=True, user_params={"restarts.use_restarts": True}, do_logging=False,
+    )  # fmt: skip
 
 
 class Framework(Baseline):

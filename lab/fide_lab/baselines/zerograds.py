@@ -12,7 +12,7 @@ Where this deviates
 - The parameter itself is evaluated at each step, after the points around it; it is from these
   values that the published program takes its result, and here they count: 2 batch + 1 a step.
 - Losses are divided by the mean of the first step's, so that one learning rate of the network
-  serves losses of any size.  With scale="none" they are learned as they are, as published.
+  serves losses of any size.
 - The published learning rates are set by hand for each experiment (1e-3 for the network, 5e-4 for
   the parameter of a 2-D Rosenbrock function).  The defaults here were chosen for the unit box on
   four functions of 5 to 20 parameters, in races with the published program.
@@ -99,9 +99,6 @@ class ZeroGrads(Baseline):
     popsize: at least 3; beside a batch 2 batch + 1.
     learning_rate: of the parameter.
     proxy_rate: of the network.
-    smooth: whether points are shifted once more before they are rendered.
-    scale: what the network learns: "first", losses divided by the mean of the first step's, or
-        "none", losses as they are.
     sigma0: standard deviation of the offsets, at all times.
 
     The other options are those of `Baseline`.
@@ -110,7 +107,7 @@ class ZeroGrads(Baseline):
     """
 
     name: ClassVar[str] = "zerograds"
-    own_options = ("batch", "smooth", "scale", "learning_rate", "proxy_rate")
+    own_options = ("batch", "learning_rate", "proxy_rate")
 
     def __init__(
         self,
@@ -121,8 +118,6 @@ class ZeroGrads(Baseline):
         popsize: int | None = None,
         learning_rate: float = 1e-3,
         proxy_rate: float = 1e-2,
-        smooth: bool = True,
-        scale: str = "first",
         **options: Any,
     ) -> None:
         if batch is None and popsize is None:
@@ -137,22 +132,15 @@ class ZeroGrads(Baseline):
                 f"popsize must be 2 batch + 1 = {2 * self.batch + 1} for zerograds, not "
                 f"{self.popsize}; give one of the two"
             )
-        if not isinstance(smooth, bool):
-            raise OptionError(f"smooth must be True or False, not {smooth!r}")
-        if scale not in ("first", "none"):
-            raise OptionError(
-                f"scale must be 'first' or 'none', not {scale!r}; 'none' learns losses as they are"
-            )
         self.learning_rate = positive("learning_rate", learning_rate)
         self.proxy_rate = positive("proxy_rate", proxy_rate)
-        self.smooth, self.scale = smooth, scale
         self._rng = np.random.default_rng(self.seed)
         generator = torch.Generator().manual_seed(int(self._rng.integers(2**63)))
         self._proxy = make(lambda: Proxy(self.dim), generator)
         self._theta = torch.full((self.dim,), 0.5)
         self._theta_adam = torch.optim.Adam([self._theta], lr=self.learning_rate)
         self._proxy_adam = torch.optim.Adam(self._proxy.parameters(), lr=self.proxy_rate)
-        self._scale = 0.0 if scale == "first" else 1.0  # of losses; 0: not yet known
+        self._scale = 0.0  # of losses; not yet known
         self._unshifted: dict[bytes, Float64] = {}  # points of this step, as the network sees them
 
     def recommend(self) -> Float64:
@@ -165,7 +153,7 @@ class ZeroGrads(Baseline):
         around = theta + np.concatenate([offsets, -offsets])  # (2 batch, d), antithetic
         shift = SMOOTHING * self.sigma0 * self._rng.standard_normal(around.shape)
         points = np.clip(around, 0.0, 1.0)
-        rendered = np.clip(around + shift, 0.0, 1.0) if self.smooth else points
+        rendered = np.clip(around + shift, 0.0, 1.0)
         self._unshifted |= {y.tobytes(): x for x, y in zip(points, rendered, strict=True)}
         return np.concatenate([rendered, theta[None]])
 

@@ -5,8 +5,8 @@
     fide report runs/suite -o rivals.html --optimizers fide,cma
 
 The command writes one self-contained page, which needs no network. The same folder gets report.md,
-results.csv, curves.csv and figures/ (PNG and SVG). If the page is called comparison.html, the files
-are comparison.md, comparison-results.csv, and so on. The page of a suite has performance profiles.
+results.csv and figures/. If the page is called comparison.html, the files
+are comparison.md, comparison-results.csv, and so on.
 --optimizers shows some of the optimizers, such as those that have been run on every problem.
 """
 

@@ -44,8 +44,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--task-seed", type=whole(0), default=0, metavar="N", help="chooses the target (0)")
     add("--spp", type=whole(1), metavar="N", help="samples per pixel, for tasks of Mitsuba")
-    add("--workers", type=whole(1), metavar="N",
-        help="processes that render, for tasks of Mitsuba (1)")  # fmt: skip
     add("--task-set", type=setting, action="append", default=[], metavar="KEY=VALUE",
         help="any option of the task, such as cells=12; may be repeated")  # fmt: skip
     add("--suite", metavar="NAME", help="TASK is a problem of this suite, such as wall-0")
@@ -97,6 +95,6 @@ def _learned(args: argparse.Namespace) -> dict[str, Any]:
 
 def _task_options(args: argparse.Namespace) -> dict[str, Any]:
     """Options of the task from --task-set and from the flags that are options of tasks."""
-    flags = {name: getattr(args, name) for name in ("spp", "workers", "suite")}
+    flags = {name: getattr(args, name) for name in ("spp", "suite")}
     given = {k: v for k, v in flags.items() if v is not None} | options_of(args)
     return {**given, **dict(args.task_set)}

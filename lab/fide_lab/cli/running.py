@@ -45,7 +45,7 @@ def execute_run(
     more: further totals of a run and its result, for --json.
     """
     from fide_lab.run import Interrupted
-    from fide_plugins.cli.progress import reporting
+    from fide_plugins.cli import progress
 
     def execute(run: Any) -> int:
         out, done = plain(run.out), run.progress.evaluations
@@ -56,8 +56,7 @@ def execute_run(
             name = plain(run.settings["optimizer"])
             note(f"{name} takes images, which a checkpoint does not hold: no --resume of this run")
         try:
-            with reporting(what) as report:
-                result = run.execute(report)
+            result = run.execute(progress.lines(what))
         except (Interrupted, FideError, OSError):
             raise
         except (Exception, SystemExit):  # code of a user may end by sys.exit

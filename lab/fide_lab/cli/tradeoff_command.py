@@ -1,15 +1,13 @@
 r"""Sweep options that trade speed for accuracy, and recommend a combination for a given time.
 
     fide tradeoff voronoi --out runs/front
-    fide tradeoff voronoi spline --preset fast,balanced --popsize 15,40 --size 56,112 \
+    fide tradeoff voronoi spline --preset fast,balanced --popsize 15,40 --size 56 \
         --seeds 5 --budget 5000 --jobs 2 --out runs/mine
-    fide tradeoff beads --preset balanced --spp 4,16,64 --out runs/samples --resume
 
-The command runs every combination of the values with every seed. --epochs, --steps, --tokens and
---precision are options of the network, for presets that have one (paper). With --resume the command
-executes the missing runs: after an interruption, or for more values. At the end it writes
-tradeoff.md, tradeoff.csv and, for each task, the loss against seconds and against renders with the
-Pareto front.
+The command runs every combination of the values with every seed. With --resume it executes the
+missing runs: after an interruption, or for more values. At the end it writes tradeoff.md and, for
+each task, the loss against seconds and against renders with the Pareto front. `fide report` shows
+the same runs.
 """
 
 from __future__ import annotations
@@ -25,34 +23,25 @@ from fide_plugins.cli.terminal import note, plain
 
 __all__ = ["add_arguments", "execute"]
 
+_SWEPT = ("preset", "popsize", "encoder")
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``fide tradeoff``."""
     add = parser.add_argument
-    add("tasks", nargs="+", metavar="TASK", help="see: fide list tasks")
+    add("tasks", nargs="+", metavar="TASK", help="see: fide list tasks; or FILE.py:NAME")
     add("--preset", type=names, metavar="A,B", help="(fast,balanced,accurate,paper)")
-    add("--popsize", type=wholes(4), metavar="K,L", help="candidates per generation (the preset's)")
+    add("--popsize", type=wholes, metavar="K,L", help="candidates per generation (the preset's)")
     add("--encoder", type=names, metavar="A,B", help="see: fide list encoders (the preset's)")
-    add("--epochs", type=wholes(1), metavar="N,M", help="training epochs per generation (4)")
-    add("--steps", type=wholes(1), metavar="N,M", help="denoising steps (3)")
-    add("--tokens", type=wholes(1), metavar="N,M", dest="parameter_tokens",
-        help="tokens of the parameters in the network (one for each)")  # fmt: skip
-    add("--precision", type=names, metavar="A,B", help="float32, bfloat16 (float32)")
-    add("--size", type=wholes(1), metavar="PX,PX", help="sides of built-in tasks' images (112)")
-    add("--spp", type=wholes(1), metavar="N,M", help="samples per pixel, for tasks of Mitsuba")
+    add("--size", type=whole(1), default=112, metavar="PX", help="side of a task's image (112)")
     add("--loss", default="mse", metavar="NAME", help="see: fide list losses (mse)")
     add_grid_arguments(parser, what="sweep", seeds=3, budget=2000)
     add("--json", action="store_true", help="end with one line of JSON on standard output")
 
 
-def wholes(minimum: int) -> Any:
-    """Parser of an argument: whole numbers >= `minimum`, separated by commas."""
-    one = whole(minimum)
-
-    def parse(text: str) -> list[int]:
-        return [one(word) for word in names(text)]
-
-    return parse
+def wholes(text: str) -> list[int]:
+    """Whole numbers >= 4, separated by commas."""
+    return [whole(4)(word) for word in names(text)]
 
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
@@ -61,50 +50,35 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
         args,
         command,
         lambda: _prepare(args, command),
-        lambda comparisons: max(execute_each(comparisons), _write(args)),
+        lambda comparison: max(execute_each([comparison]), _write(args)),
     )
 
 
-def _prepare(args: argparse.Namespace, command: list[str]) -> list[Any]:
+def _prepare(args: argparse.Namespace, command: list[str]) -> Any:
+    from fide_lab.compare import Plan
     from fide_lab.compare.driver import prepare
-    from fide_lab.sweep import OPTIONS, Grid
+    from fide_lab.sweep import configurations
 
-    options = {name: getattr(args, name) for name in OPTIONS}
-    grid = Grid(
-        tuple(args.tasks),
-        {name: values for name, values in options.items() if values is not None},
-        args.loss,
-        args.seeds,
-        args.budget,
-        args.task_seed,
-        dict(args.task_set),
-    )
-    grid.check(args.out)
-    return [
-        prepare(plan, args.out / name, jobs=args.jobs, resume=args.resume, command=command)
-        for name, plan in grid.plans()
-    ]
+    options = {name: getattr(args, name) for name in _SWEPT if getattr(args, name) is not None}
+    plan = Plan(
+        tuple(args.tasks), configurations(options), (args.loss,), args.seeds, args.budget,
+        args.size, args.task_seed, dict(args.task_set), metrics=(args.loss,),
+    )  # fmt: skip
+    return prepare(plan, args.out, jobs=args.jobs, resume=args.resume, command=command)
 
 
 def _write(args: argparse.Namespace) -> int:
     """Write tables, figures and recommendations; returns the exit code."""
-    from fide_lab.sweep import read, write_tables
+    from fide_lab import compare
+    from fide_lab.sweep import advice, combinations_of, write_tables
 
-    combinations = read(args.out)
+    combinations = combinations_of(compare.read(args.out))
     text = write_tables(args.out, combinations)
-    if args.json:
-        note(text)
-        print(json.dumps(_summary(combinations), allow_nan=False), flush=True)
-    else:
+    if not args.json:
         print(text)
         print(f"look at {plain(args.out)}/tradeoff.md")
-    return 0
-
-
-def _summary(combinations: list[Any]) -> dict[str, Any]:
-    """Recommended combination and its loss, by task and time."""
-    from fide_lab.sweep import advice
-
+        return 0
+    note(text)
     summary: dict[str, Any] = {}
     for task in dict.fromkeys(each.task for each in combinations):
         points = advice([each for each in combinations if each.task == task])
@@ -112,4 +86,5 @@ def _summary(combinations: list[Any]) -> dict[str, Any]:
             time: p and {"setting": p.combination.label, "loss": p.loss}
             for time, p in points.items()
         }
-    return summary
+    print(json.dumps(summary, allow_nan=False), flush=True)
+    return 0

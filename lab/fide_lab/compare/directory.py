@@ -20,9 +20,9 @@ from pathlib import Path
 from typing import Any
 
 from fide_lab.compare.one_run import State, examine, is_busy
-from fide_lab.compare.plan import TARGETS, Checked, Plan, RunKey, as_file_name, target_file
+from fide_lab.compare.plan import TARGETS, Checked, Plan, RunKey, target_file
 from fide_plugins.recording.figures import as_png
-from fide_plugins.recording.sources import edited, file_of, loss_reference, versions_there
+from fide_plugins.recording.sources import edited, file_of, versions_there
 from fide_plugins.recording.storage import (
     FORMAT,
     RunDirectoryError,
@@ -44,9 +44,9 @@ class ComparisonDirectory:
     checked: result of `Plan.check`.
     resume: whether an existing comparison may be continued.
 
-    Warns of, or raises RunDirectoryError (a FileExistsError) for, results of another version of a
-    user's file, see `versions`.  Raises it also for a directory that holds something else, or a
-    comparison with other settings; OSError if it cannot be written.
+    Raises RunDirectoryError (a FileExistsError) for results of another version of a user's file,
+    for a directory that holds something else, or a comparison with other settings; OSError if it
+    cannot be written.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class ComparisonDirectory:
             key: _state(self.path / key.folder, run, sources) for key, run in settings.items()
         }
         there = [] if before is None else [key for key, _ in runs_of(before)]
-        check_versions(self.path, sources, self.states, there)
+        check_versions(self.path, sources, there)
         files.check_writable(self.path)
         for folder in (self.path, self.path / TARGETS):
             files.remove_leftovers(folder, age=_OLD)  # another process may be at work here
@@ -198,95 +198,38 @@ def _visible(folder: Path) -> list[Path]:
     return [entry for entry in folder.glob("*") if not entry.name.startswith(".")]
 
 
-def check_versions(
-    path: Path,
-    sources: Mapping[str, str],
-    states: Mapping[RunKey, State],
-    there: Iterable[RunKey],
-) -> None:
-    """Compare the versions of finished runs with the present ones.
+def check_versions(path: Path, sources: Mapping[str, str], runs: Iterable[RunKey]) -> None:
+    """Raise RunDirectoryError if a finished run is of another version of a source.
 
     path: folder of the comparison; sources: those of its plan, pretrained weights, losses.
-    states: of the runs of the plan; there: all runs of the comparison so far.
-
-    Warns once for each file or loss that has changed since all its runs, of an optimizer, a task or
-    a loss, were finished.  Raises RunDirectoryError (a FileExistsError), with the remedy, if only
-    some of them are.
     """
-    if not sources:
-        return
-    old: dict[str, list[str]] = defaultdict(list)  # folders of results of each reference
-    growing = set()  # folders in which runs are to be done
-    for key in dict.fromkeys([*states, *there]):
-        if key in states and states[key].kind != "finished":
-            growing |= {"cells", _of_task(key), _of_loss(key), _of_optimizer(key)}
+    for key in runs:
+        try:
+            run = read_run(path / key.folder)
+        except (RunDirectoryError, OSError):  # it will be repeated, or reported as damaged
             continue
-        for reference in _edited(path / key.folder, sources):
-            folder = _belonging(reference, key)
-            if folder not in old[reference]:
-                old[reference].append(folder)
-    for reference, folders in old.items():
-        mixed = [folder for folder in folders if folder in growing]
-        if mixed:
+        finished = run is not None and run.get("state") == "finished"
+        for reference in edited(versions_there(run), sources) if finished else ():
             raise RunDirectoryError(
                 f"{file_of(reference)} has changed since runs with {reference} in {path} were "
-                "finished, and more are to be done, which do not belong with them: undo the "
-                f"change, name another directory, or delete {path / mixed[0]} to do all of them "
-                "again"
-            )
-        if folders:
-            warn_user(
-                f"{file_of(reference)} has changed since the runs with {reference} in {path} were "
-                "finished: the report has the results of the earlier version; for those of the "
-                "present one name another directory, or delete "
-                f"{' and '.join(str(path / folder) for folder in folders)} and do them again"
+                "finished, with which others do not belong: undo the change, name another "
+                f"directory, or delete {path / key.folder.parent} and the other runs with it"
             )
 
 
-def warn_of_mixed(path: Path, finished: Iterable[tuple[RunKey, Mapping[str, Any]]]) -> None:
-    """Warn of finished runs that belong together and are of several versions of a file.
+def warn_of_mixed(path: Path, finished: Iterable[Mapping[str, Any]]) -> None:
+    """Warn of finished runs of several versions of a file that changed while runs were at work.
 
-    They are where the file has changed while runs were at work.
-    path: folder of the comparison; finished: its finished runs, each with its `run.json`.
+    path: folder of the comparison; finished: `run.json` of its finished runs.
     """
-    versions: dict[tuple[str, str], set[str]] = defaultdict(set)  # by reference and folder
-    for key, run in finished:
+    versions: dict[str, set[str]] = defaultdict(set)
+    for run in finished:
         for reference, there in versions_there(run).items():
-            versions[reference, _belonging(reference, key)].update(there)
-    for (reference, folder), found in versions.items():
+            versions[reference].update(there)
+    for reference, found in versions.items():
         if len(found) > 1:
             warn_user(
                 f"{file_of(reference)} has changed while runs with {reference} in {path} were at "
-                f"work: the report has results of {len(found)} versions of it; for those of one "
-                f"delete {path / folder} and do them again"
+                f"work: the report has results of {len(found)} versions of it; delete these runs "
+                "and do them again"
             )
-
-
-def _edited(folder: Path, sources: Mapping[str, str]) -> list[str]:
-    try:
-        run = read_run(folder)
-    except (RunDirectoryError, OSError):  # it will be repeated, or reported as damaged
-        return []
-    finished = run is not None and run.get("state") == "finished"
-    return edited(versions_there(run), sources) if finished else []
-
-
-def _belonging(reference: str, key: RunKey) -> str:
-    """Folder, as a pattern, of all runs that belong together with a run that has the reference."""
-    if reference == key.task:
-        return _of_task(key)
-    if reference.startswith(loss_reference("")):
-        return _of_loss(key) if reference == loss_reference(key.loss) else "cells"  # a metric
-    return _of_optimizer(key)
-
-
-def _of_task(key: RunKey) -> str:
-    return f"cells/{as_file_name(key.task)}"
-
-
-def _of_loss(key: RunKey) -> str:
-    return f"cells/*/{as_file_name(key.loss)}"
-
-
-def _of_optimizer(key: RunKey) -> str:
-    return f"cells/*/*/{as_file_name(key.configuration)}"

@@ -11,6 +11,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, suppress
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -40,18 +41,21 @@ def in_processes(
     Results that still arrive are dropped: the work has written them to files.
     """
     waiting, workers = list(reversed(items)), [_Worker() for _ in range(min(jobs, len(items)))]
-    running: dict[Future[Any], tuple[_Worker, Any]] = {}
+    idle, running = list(workers), dict[Future[Any], tuple[_Worker, Any]]()
     try:
         while waiting or running:
-            while waiting and len(running) < len(workers):
-                idle = next(
-                    w for w in workers if all(w is not busy for busy, _ in running.values())
-                )
-                item = waiting.pop()
-                running[idle.submit(work, item)] = idle, item
+            while waiting and idle:
+                worker, item = idle.pop(), waiting.pop()
+                try:
+                    running[worker.submit(work, item)] = worker, item
+                except BrokenProcessPool:  # the process died while it was idle
+                    worker.restart()
+                    idle.append(worker)
+                    yield lost(item)
             done, _ = wait(running, return_when=FIRST_COMPLETED)
             for future in done:
                 worker, item = running.pop(future)
+                idle.append(worker)
                 try:
                     result = future.result()
                 except BrokenProcessPool:
@@ -80,18 +84,6 @@ class _Worker:
         self._pool, self._pid = _pool(), 0
 
     def submit(self, work: Callable[[Any], Any], item: Any) -> Future[Any]:
-        try:
-            return self._submit(work, item)
-        except BrokenProcessPool:  # the process died while it was idle
-            self.restart()
-        try:
-            return self._submit(work, item)
-        except BrokenProcessPool as error:
-            failed: Future[Any] = Future()
-            failed.set_exception(error)
-            return failed
-
-    def _submit(self, work: Callable[[Any], Any], item: Any) -> Future[Any]:
         self._pid = self._pid or self._pool.submit(os.getpid).result()  # for `signal`
         return self._pool.submit(_busy, work, item)
 
@@ -190,8 +182,7 @@ OnProgress = Callable[[RunKey, Progress], None]
 def run(plan: Plan, out: str | os.PathLike[str], **settings: Any) -> list[Outcome]:
     """Execute the missing runs of `plan` in the directory `out`.
 
-    settings: jobs (processes, at most one a core), dask (address of a scheduler, in their place),
-        resume (whether `out` may hold runs of this plan) and command (a command line to record).
+    settings: of `prepare`.
     """
     return prepare(plan, out, **settings).execute()
 
@@ -225,30 +216,21 @@ def prepare(
     return Comparison(plan, directory, checked, jobs, dask, list(command))
 
 
+@dataclass(frozen=True, eq=False)
 class Comparison:
     """A comparison that is ready to start or to continue; made by :func:`prepare`."""
 
-    def __init__(
-        self,
-        plan: Plan,
-        directory: ComparisonDirectory,
-        checked: Checked,
-        jobs: int,
-        dask: str | None,
-        command: list[str],
-    ) -> None:
-        self._plan, self._directory, self._checked = plan, directory, checked
-        self._jobs, self._dask, self._command = jobs, dask, command
-
-    @property
-    def out(self) -> Path:
-        """Its directory."""
-        return self._directory.path
+    plan: Plan
+    directory: ComparisonDirectory
+    checked: Checked
+    jobs: int
+    dask: str | None
+    command: list[str]
 
     @property
     def states(self) -> dict[RunKey, State]:
         """State of each run before the start."""
-        return self._directory.states
+        return self.directory.states
 
     def execute(
         self, on_outcome: OnOutcome | None = None, on_progress: OnProgress | None = None
@@ -260,8 +242,8 @@ class Comparison:
 
         Raises Interrupted (a KeyboardInterrupt) after SIGINT or SIGTERM, when all is saved.
         """
-        workers = {"jobs": self._jobs, "dask": self._dask is not None, "cores": machine.cores()}
-        self._directory.begin(self._command, workers)
+        workers = {"jobs": self.jobs, "dask": self.dask is not None, "cores": machine.cores()}
+        self.directory.begin(self.command, workers)
         outcomes = []
         try:
             with closing(self._outcomes(on_progress)) as arriving:
@@ -273,18 +255,18 @@ class Comparison:
                         on_outcome(outcome)
         finally:
             with suppress(OSError):
-                self._directory.end()
+                self.directory.end()
         return outcomes
 
     def _outcomes(self, on_progress: OnProgress | None) -> Generator[Outcome, None, None]:
-        items = list(self._checked.settings.items())
-        checked = self._checked
-        work = partial(_work, self._plan, self.out, self._command, checked.versions, checked.said)
-        lost = partial(_note_lost, self.out)
-        if self._dask is not None:
-            yield from on_dask(work, items, self._dask, self.out, lost)
-        elif self._jobs > 1:
-            yield from _interruptible(in_processes(work, items, self._jobs, lost))
+        items = list(self.checked.settings.items())
+        out, checked = self.directory.path, self.checked
+        work = partial(_work, self.plan, out, self.command, checked.versions, checked.said)
+        lost = partial(_note_lost, out)
+        if self.dask is not None:
+            yield from on_dask(work, items, self.dask, out, lost)
+        elif self.jobs > 1:
+            yield from _interruptible(in_processes(work, items, self.jobs, lost))
         else:
             for item in items:
                 report = None if on_progress is None else partial(on_progress, item[0])

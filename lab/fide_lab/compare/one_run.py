@@ -18,7 +18,6 @@ from fide_lab.compare.plan import Plan, RunKey, target_file
 from fide_lab.run import Interrupted, Progress, Run, prepare
 from fide_plugins.errors import CheckpointError
 from fide_plugins.recording.directory import TABLES, results_in
-from fide_plugins.recording.record import PARTS
 from fide_plugins.recording.sources import edited, file_of, versions_there
 from fide_plugins.recording.storage import (
     RunDirectoryError,
@@ -34,8 +33,6 @@ __all__ = ["ERROR", "Outcome", "State", "examine", "is_busy", "run_one"]
 
 ERROR = "error.txt"
 _LOCK = ".lock"
-_COUNTED = ("dim", "evaluations", "best_evaluation", "rounds", "wall_s")
-_LOSSES = ("best_loss", "reference_loss", "recommended_loss")  # None where there is none
 
 
 @dataclass(frozen=True)
@@ -103,9 +100,6 @@ def examine(
                 return State("damaged", f"{folder / name} was changed or cut short")
         except (OSError, KeyError, TypeError) as error:
             return State("damaged", f"{folder / name} cannot be checked: {error!r}")
-    wrong = _wrong_totals(run.get("totals"))
-    if wrong:
-        return State("damaged", f"{folder / 'run.json'} has no valid {wrong}")
     return State("finished")
 
 
@@ -183,21 +177,6 @@ def _prepare(plan: Plan, key: RunKey, out: Path, command: list[str] | None) -> t
     except CheckpointError as error:
         _clear(folder)
         return attempt(), f"repeated, because it could not be continued: {error}"
-
-
-def _wrong_totals(totals: Any) -> str:
-    """Name of the first missing or invalid total of a finished run; empty if all are valid."""
-    if not isinstance(totals, dict):
-        return "totals"
-    times, judged = totals.get("times"), totals.get("judged")
-    numbers = {name: totals.get(name) for name in _COUNTED}
-    numbers |= {name: totals.get(name, "") for name in _LOSSES if totals.get(name, "") is not None}
-    if not isinstance(times, dict) or not isinstance(judged, dict):
-        return "times or judgment"
-    numbers |= {part: times.get(part) for part in PARTS}
-    numbers |= {name: value for name, value in judged.items() if value is not None}
-    wrong = [k for k, v in numbers.items() if isinstance(v, bool) or not isinstance(v, int | float)]
-    return wrong[0] if wrong else "" if totals["evaluations"] >= 1 else "evaluations"
 
 
 def _clear(folder: Path) -> None:

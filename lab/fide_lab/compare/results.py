@@ -24,8 +24,8 @@ from fide_plugins.types import Float64
 
 __all__ = ["AXES", "AllFailedError", "Curve", "NoResultsError", "Results", "StoredRun", "read"]
 
-AXES = ("renders", "seconds", "rounds")
-"""Horizontal axes of a convergence curve; rounds: see `recording.parallel`."""
+AXES = ("renders", "seconds")
+"""Horizontal axes of a convergence curve."""
 
 
 class NoResultsError(FideError, FileNotFoundError):
@@ -173,7 +173,7 @@ def read(path: str | os.PathLike[str]) -> Results:
     if record is None:
         raise NoResultsError(f"{folder} holds no comparison; make one: fide compare ... --out DIR")
     runs = [_read_run(folder, key, identity) for key, identity in runs_of(record)]
-    warn_of_mixed(folder, [(one.key, one.run) for one in runs if one.state == "finished"])
+    warn_of_mixed(folder, [one.run for one in runs if one.state == "finished"])
     return Results(
         folder,
         record["settings"],
@@ -208,15 +208,14 @@ def _curve(folder: Path, run: dict[str, Any]) -> Curve:
     names, *rows = csv.reader(read_regular(folder / "improvements.csv").decode().splitlines())
     table = np.array(rows, np.float64).reshape(len(rows), len(names)).T
     columns = dict(zip(names, table, strict=True))
+    del columns[f"round_of_{WORKERS}"]
     totals = run["totals"]
     at = {
         "renders": columns.pop("evaluation") + 1,
         "seconds": columns.pop("seconds"),
-        "rounds": columns.pop(f"round_of_{WORKERS}"),
     }
     ends = {
         "renders": float(totals["evaluations"]),
         "seconds": float(totals["wall_s"]),
-        "rounds": float(totals["rounds"]),
     }
     return Curve(at, ends, columns.pop("loss"), columns)

@@ -5,12 +5,13 @@
     report.write(compare.read("runs/first"), "runs/first/report.html")
 
 ============  ====================================================================
-`statistics`  quantiles, bands, paired tests and success rates
+`statistics`  quantiles, bands and paired tests
 `panel`       the results for one task and one loss
 `tables`      tables of a panel, and CSV files
 `sentences`   the results of a panel in sentences, and the method
-`plots`       charts and pictures, as matplotlib figures, files and SVG elements
-`page`        the report: one HTML file, made from `templates/`, and what goes with it
+`plots`       charts and pictures, as matplotlib figures
+`document`    any report as one HTML page, in Markdown, and its pictures
+`page`        the report of a comparison
 ============  ====================================================================
 """
 

@@ -15,7 +15,7 @@ import numpy as np
 from fide_lab.compare.plan import RunKey, split
 from fide_lab.compare.results import Results, StoredRun
 from fide_lab.report import statistics
-from fide_lab.report.statistics import Paired, Success
+from fide_lab.report.statistics import Paired
 from fide_plugins.errors import OptionError
 from fide_plugins.recording.record import PARTS
 
@@ -94,11 +94,6 @@ class Row:
         """Median wall time of a run."""
         return float(np.median([run.totals["wall_s"] for run in self.runs]))
 
-    @property
-    def rounds(self) -> float:
-        """Median number of rounds of parallel renders."""
-        return float(np.median([run.totals["rounds"] for run in self.runs]))
-
 
 @dataclass(frozen=True, eq=False)
 class Panel:
@@ -152,9 +147,9 @@ class Panel:
             for (label, test), p in zip(found.items(), adjusted, strict=True)
         }
 
-    def success(self, row: Row) -> Success:
-        """Number of runs, finished or failed, whose final loss is at most the threshold."""
-        return Success.of(sum(map(self.succeeded, row.runs)), len(row.finals))
+    def reached(self, row: Row) -> int:
+        """Number of runs whose final loss is at most the threshold."""
+        return sum(map(self.succeeded, row.runs))
 
     def succeeded(self, run: StoredRun) -> bool:
         """Whether the final loss of a run is finite and at most the threshold."""
@@ -179,7 +174,7 @@ class Panel:
     def significant(self, row: Row) -> bool:
         """Whether the winner is significantly better than this row."""
         test = self.against_winner.get(row.label)
-        return test is not None and test.adjusted < SIGNIFICANT and test.effect > 0
+        return test is not None and test.adjusted < SIGNIFICANT and 2 * test.worse > test.n
 
 
 def panels(results: Results, thresholds: dict[str, float]) -> list[Panel]:

@@ -1,7 +1,4 @@
-"""Quantiles and rank statistics of a few runs; no means, since losses have heavy tails.
-
-SciPy and NumPy compute all of it.
-"""
+"""Quantiles and rank statistics of a few runs; no means, since losses have heavy tails."""
 
 from __future__ import annotations
 
@@ -15,10 +12,11 @@ from scipy import stats
 from fide_lab.compare.results import Curve
 from fide_plugins.types import Float64
 
-__all__ = ["QUANTILES", "Bands", "Paired", "Success", "adjusted", "bands", "paired", "quantiles"]
+__all__ = ["QUANTILES", "Bands", "Paired", "adjusted", "bands", "paired", "quantiles"]
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 _POINTS = 120  # points of a band, more than the eye can distinguish
+_HUGE = 1e300
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,29 +28,12 @@ class Bands:
 
 
 @dataclass(frozen=True)
-class Success:
-    """Number of n runs that reached a loss, and Wilson's 95 % interval of the success rate."""
-
-    reached: int
-    n: int
-    low: float
-    high: float
-
-    @classmethod
-    def of(cls, reached: int, n: int) -> Success:
-        """Success rate of `reached` out of `n` >= 1."""
-        interval = stats.binomtest(reached, n).proportion_ci(method="wilson")
-        return cls(reached, n, float(interval.low), float(interval.high))
-
-
-@dataclass(frozen=True)
 class Paired:
     """Paired comparison of the runs of two configurations.
 
     n: number of pairs; worse: number of pairs in which the first has the higher loss.
     p: p-value of the two-sided Wilcoxon signed-rank test, exact for few pairs.  Pairs without a
         difference have ranks, too (Pratt 1959).
-    effect: matched-pairs rank-biserial correlation, from -1 (lower in every pair) to 1 (higher).
     ratio: median of the ratios of losses, without pairs of two infinite ones; may be infinite.
         NaN if there is no such pair, or a loss is zero or negative.
     adjusted: p adjusted for multiple tests.
@@ -61,7 +42,6 @@ class Paired:
     n: int
     worse: int
     p: float
-    effect: float
     ratio: float
     adjusted: float = np.nan
 
@@ -81,9 +61,6 @@ def quantiles(values: npt.ArrayLike, q: Sequence[float] = QUANTILES) -> Float64:
     found = np.quantile(np.where(np.isposinf(array), _HUGE, array), q, axis=0)
     result: Float64 = np.where(found > _HUGE / 1e6, np.inf, found)
     return result
-
-
-_HUGE = 1e300
 
 
 def bands(curves: Sequence[Curve], axis: str, failed: int = 0) -> Bands:
@@ -117,35 +94,15 @@ def paired(losses: npt.ArrayLike, others: npt.ArrayLike) -> Paired:
     values = np.array([losses, others], np.float64)
     a, b = np.where(np.isfinite(values), values, np.inf)
     least = min(a.min(), b.min())
-    differences = _differences(a, b) if least < 0 else _differences(_log(a), _log(b))
+    with np.errstate(divide="ignore"):  # of 0: minus infinity
+        differences = _differences(a, b) if least < 0 else _differences(np.log(a), np.log(b))
     worse = int((differences > 0).sum())
-    ratio = _median_ratio(a, b) if least > 0 else np.nan
-    if not differences.any():
-        return Paired(len(a), worse, 1.0, 0.0, ratio)
-    ranks = stats.rankdata(np.abs(differences))
-    effect = float((ranks * np.sign(differences)).sum() / ranks.sum())
-    return Paired(len(a), worse, _signed_rank(differences), effect, ratio)
-
-
-def _signed_rank(differences: Float64) -> float:
-    """Two-sided p-value; with ties or zeros and few pairs, exact over all sign changes.
-
-    SciPy's test leaves out zeros unless it is told otherwise; both ways must rank them.
-    """
-    sizes = np.abs(differences)
-    regular = sizes.all() and len(np.unique(sizes)) == len(sizes)
-    if regular or len(sizes) > 12:
-        return float(stats.wilcoxon(differences, zero_method="pratt").pvalue)
-    ranks = stats.rankdata(sizes)
-
-    def statistic(signed: Float64, axis: int) -> Float64:
-        total: Float64 = (ranks * np.sign(signed)).sum(axis=axis)
-        return total
-
-    test = stats.permutation_test(
-        (differences,), statistic, permutation_type="samples", n_resamples=np.inf, vectorized=True
-    )
-    return float(test.pvalue)
+    told = np.isfinite(a) | np.isfinite(b)
+    ratio = float(np.median(a[told] / b[told])) if least > 0 and told.any() else np.nan
+    p = 1.0
+    if differences.any():  # SciPy leaves out zeros unless it is told otherwise
+        p = float(stats.wilcoxon(differences, zero_method="pratt").pvalue)
+    return Paired(len(a), worse, p, ratio)
 
 
 def adjusted(p: Sequence[float]) -> list[float]:
@@ -156,21 +113,9 @@ def adjusted(p: Sequence[float]) -> list[float]:
     return values
 
 
-def _log(losses: Float64) -> Float64:
-    """Logarithms of losses (n,) >= 0; that of 0 is minus infinity."""
-    with np.errstate(divide="ignore"):
-        return np.log(losses)
-
-
 def _differences(a: Float64, b: Float64) -> Float64:
     """Differences a - b (n,), finite: an infinite difference becomes larger than all others."""
     with np.errstate(invalid="ignore"):  # infinity minus infinity
         found = np.where(a == b, 0.0, a - b)
     largest = np.abs(found[np.isfinite(found)]).max(initial=0.0)
     return np.where(np.isinf(found), np.copysign(2.0 * largest + 1.0, found), found)
-
-
-def _median_ratio(a: Float64, b: Float64) -> float:
-    """Median of a / b > 0 (n,) without pairs of two infinite values; NaN if none is left."""
-    told = np.isfinite(a) | np.isfinite(b)
-    return float(np.median(a[told] / b[told])) if told.any() else np.nan

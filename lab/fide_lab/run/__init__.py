@@ -14,6 +14,7 @@ returns a `Run` to execute.  Errors of `prepare` are usage errors, errors of `ex
 `prepare`  makes a `Run` from names and options, all checked
 `task`     what is fitted: the protocol of a task, a user's renderer as a task
 `loop`     generations, rendered in pieces; the loop is that of `fit`
+`foreign`  tasks whose target the renderer did not draw
 =========  ==================================================================
 """
 

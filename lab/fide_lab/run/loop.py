@@ -5,9 +5,7 @@ rendered in pieces of a fixed size, so that results arrive and can be saved befo
 is complete.  A user's renderer makes one image after the other, so each is told at once: an
 interrupt or a failure loses no other.  The size is fixed because the same seed must give the same
 run: a size that depends on the renderer's speed would change the last bits of features that are
-computed in batches.  An optimizer that trains in the background first gives the candidates that
-need not wait for the training (`FIDE.ask_ready`).  FIDE's steps between two generations come one at
-a time.
+computed in batches.  FIDE's steps between two generations come one at a time (`FIDE.ask_ready`).
 
 Resuming gives the result of an uninterrupted run, bit for bit.  The state is saved only between
 pieces, together with the pending candidates, and each evaluation of a noisy renderer has its own
@@ -149,7 +147,7 @@ class Run:
     # -- steps of the loop -------------------------------------------------------------------------
 
     def ask(self) -> Float64:
-        """Next generation (n, dim), or what of it need not wait for training.
+        """Next generation (n, dim), or one step.
 
         Raises PointsError (a ValueError) if it breaks the protocol.
         """

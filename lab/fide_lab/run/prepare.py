@@ -77,50 +77,34 @@ def prepare(
 ) -> Run:
     """Check the arguments, and make or resume a run; one image is rendered at most.
 
-    Parameters
-    ----------
-    task
-        name in `fide_tasks`; ``FILE.py:NAME``, or any name with the option `command`, for a user's
-        renderer, see `task.make_renderer_task`; or a `Task`.
-    size, task_seed, task_options
-        arguments of a task that is given by name; a user's renderer has its own size.
-    optimizer
-        name in `fide_lab.optimizers`; ``FILE.py:NAME`` for a user's class, see
+    task: name in `fide_tasks`; ``FILE.py:NAME``, or any name with the option `command`, for a
+        user's renderer, see `task.make_renderer_task`; or a `Task`.
+    size, task_seed, task_options: arguments of a task that is given by name; a user's renderer has
+        its own size.
+    optimizer: name in `fide_lab.optimizers`; ``FILE.py:NAME`` for a user's class, see
         `baselines.own`; or a class, or a function ``(dim, target, loss=, seed=, **options)`` that
         makes an optimizer.
-    loss
-        name in `fide_plugins.losses`, or a callable images -> (n,).
-    budget
-        number of candidates to render.
-    seed
-        seed of the optimizer, and of the renderer's noise.
-    options
-        options of the optimizer, such as popsize.
-    out
-        run directory; None writes nothing.
-    resume
-        continue the run in `out` if there is one; otherwise start it.  The budget may be a larger
-        one, unless the optimizer depends on it.
-    checkpoint_every
-        seconds between checkpoints, at least twenty times the time to write one.  A process that
-        is killed loses at most the results since the last one.  0: after every piece.
-    command
-        command line to record.
-    keep
-        what to record in addition to the losses; see `Keep`.
-    target
-        picture to be found, (H, W, 3), which all runs of a comparison have; None: that of the task,
-        which is kept in `out`.
+    loss: name in `fide_plugins.losses`, or a callable images -> (n,).
+    budget: number of candidates to render.
+    seed: of the optimizer, and of the renderer's noise.
+    options: of the optimizer, such as popsize.
+    out: run directory; None writes nothing.
+    resume: continue the run in `out` if there is one; otherwise start it.  The budget may be a
+        larger one, unless the optimizer depends on it.
+    checkpoint_every: seconds between checkpoints, at least twenty times the time to write one.  A
+        process that is killed loses at most the results since the last one.  0: after every piece.
+    command: command line to record.
+    keep: what to record in addition to the losses; see `Keep`.
+    target: picture to be found, (H, W, 3), which all runs of a comparison have; None: that of the
+        task, which is kept in `out`.
 
-    Raises
-    ------
-    OptionError, ImageError, RunDirectoryError, CheckpointError and other ValueErrors; OSError if
-    `out` cannot be written; ImportError if the task needs a package that is not installed;
+    Raises OptionError, ImageError, RunDirectoryError, CheckpointError and other ValueErrors;
+    OSError if `out` cannot be written; ImportError if the task needs a package that is not there;
     RenderError if its target cannot be rendered.
     """
     budget, seed = whole_number("budget", budget, 1), whole_number("seed", seed, 0)
     task_options, options, keep = dict(task_options or {}), dict(options or {}), keep or Keep()
-    _check_optimizer(optimizer, options)
+    _check_optimizer(optimizer, options, out is not None)
     if isinstance(task, str):
         task = make_task(task, size, task_seed, task_options)
     resumed = resume and out is not None and is_saved(out)
@@ -135,11 +119,6 @@ def prepare(
     searcher = _make_optimizer(optimizer, task, target, loss, seed, budget, search_options)
     record, directory = Record(), None
     if out is not None:
-        if not isinstance(optimizer, str):
-            raise OptionError(
-                "a run with a directory needs its optimizer by name, to load it again; "
-                "see fide_lab.optimizers.register"
-            )
         may_change = () if "budget" in optimizers.options(optimizer) else ("budget",)
         directory = RunDirectory(
             out, settings, resume=resume, command=command, may_change=may_change,
@@ -152,9 +131,14 @@ def prepare(
     )  # fmt: skip
 
 
-def _check_optimizer(optimizer: Named, options: Mapping[str, Any]) -> None:
+def _check_optimizer(optimizer: Named, options: Mapping[str, Any], saved: bool) -> None:
     """Raise ValueError for an optimizer that is no use, and for options that the run gives it."""
     given: tuple[str, ...] = ("loss", "seed")
+    if saved and not isinstance(optimizer, str):
+        raise OptionError(
+            "a run with a directory needs its optimizer by name, to load it again; "
+            "see fide_lab.optimizers.register"
+        )
     optimizers.options(optimizer)  # raises
     if isinstance(optimizer, str):
         given = ("self", "dim", "target", *given)  # a user's callable may name its own options so

@@ -4,9 +4,11 @@
 
 ============  ====================================================================
 `definition`  a suite as data, read from NAME.toml; `scenes/` has its files
+`foreign`     scenes whose target another camera or renderer made
+`renderers`   what fits them
 `problems`    the plan of a comparison that runs them
-`scores`      renders to solve each problem, and profiles of them
-`page`        the page: both profiles, tables, remarks
+`scores`      renders to solve each problem, and their data profile
+`page`        the page: profile, tables, remarks
 ============  ====================================================================
 """
 

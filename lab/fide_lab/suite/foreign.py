@@ -60,7 +60,7 @@ class Problem:
         self.target, self.truth, self.light = np.asarray(target, np.float32), truth, light
         self.search_space = space if isinstance(space, Space) else None
         self.dim = space.dim if isinstance(space, Space) else space
-        self._draw, self._wrong = draw, wrong
+        self.draw, self._wrong = draw, wrong
 
     def decode(self, x: Float64) -> Any:
         """What is drawn for a point (dim,)."""
@@ -69,7 +69,7 @@ class Problem:
     def render(self, X: Float64, seed: Sequence[int] | None = None) -> list[Any]:
         """Images of candidates (n, dim), or pairs of an image and its coverage."""
         seeds = [0] * len(X) if seed is None else seed
-        return [self._draw(self.decode(x), s) for x, s in zip(X, seeds, strict=True)]
+        return [self.draw(self.decode(x), s) for x, s in zip(X, seeds, strict=True)]
 
     def error(self, x: Float64) -> float:
         """How wrong a point (dim,) is."""
@@ -109,7 +109,7 @@ def _photograph(name: str) -> NDArray[np.uint8]:
 _BOARD = {"rx": (-0.9, 0.9), "ry": (-0.9, 0.9), "rz": (-np.pi, np.pi), "cx": (80, 560),
           "cy": (60, 420), "dist": (8, 26), "f": (450, 650), "k1": (-0.4, 0), "ink": (0, 0.4),
           "paper": (0.5, 1), "bg": (0.1, 0.8)}  # fmt: skip
-_NEAR = 0.25  # of each range: the box of a problem that begins near the answer
+_NEAR = 0.1  # of each range: the box of a problem that begins some 15 pixels off
 
 
 @cache

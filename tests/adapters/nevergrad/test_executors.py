@@ -14,8 +14,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fide_adapters.nevergrad import DaskExecutor
-
 from .conftest import fide, mse, render, traveling
 
 
@@ -41,7 +39,7 @@ def dask(folder: Path) -> Iterator[Any]:
         ) as cluster,
         distributed.Client(cluster) as client,
     ):
-        yield DaskExecutor(client)
+        yield client.get_executor(pure=False)
 
 
 @contextmanager
@@ -107,39 +105,6 @@ def test_after_an_objective_has_raised_minimize_goes_on(name: str | None, tmp_pa
     assert optimizer.fide.state.population.pending == 0
 
 
-class AtOnce:
-    """An executor whose futures are done when they are made."""
-
-    def submit(self, function: Any, *args: Any, **kwargs: Any) -> Any:
-        future: concurrent.futures.Future[Any] = concurrent.futures.Future()
-        try:
-            future.set_result(function(*args, **kwargs))
-        except Exception as error:
-            future.set_exception(error)
-        return future
-
-
-def test_all_that_failed_at_once_are_withdrawn_by_one_call() -> None:
-    """Where the cause is mended after that, the second call ends; nothing else is lost."""
-    optimizer, mended = fide(budget=40, workers=8), False
-
-    def fails(x: Any) -> Any:
-        if x[0] < 0.5 and not mended:
-            raise ArithmeticError("too far to the left")
-        return render(x)
-
-    with pytest.raises(ArithmeticError):
-        optimizer.minimize(fails, executor=AtOnce())
-    mended = True
-    with pytest.raises(TypeError, match="exector"):  # of no job: none is lost
-        optimizer.minimize(fails, exector=AtOnce())
-    told, waiting = optimizer.num_tell, len(optimizer._finished_jobs)
-    assert 0 < waiting < 7
-    optimizer.minimize(fails, executor=AtOnce())
-    assert optimizer.num_ask == 40 and optimizer.num_tell == told + waiting + 32
-    assert optimizer.fide.state.population.pending == 0
-
-
 @pytest.mark.slow
 def test_a_worker_that_is_killed_costs_nothing_but_time(tmp_path: Path) -> None:
     """SIGKILL in the midst: every candidate counts exactly once."""
@@ -161,19 +126,3 @@ def test_a_worker_that_is_killed_costs_nothing_but_time(tmp_path: Path) -> None:
         optimizer.minimize(sometimes_deadly, executor=executor)
     assert victim.exists()
     assert len(set(counted)) == len(counted) == 40 == optimizer.num_images
-
-
-def test_dask_keeps_no_argument_and_no_old_result() -> None:
-    """Parameters may be called `key`, and a noisy objective is called each time."""
-    distributed = pytest.importorskip("distributed", reason="needs the extra dask")
-
-    def noisy(key: float, workers: float) -> Any:
-        return key, workers, time.perf_counter_ns()
-
-    with distributed.Client(
-        processes=False, n_workers=1, threads_per_worker=1, dashboard_address=":0"
-    ) as client:
-        executor = DaskExecutor(client)
-        futures = [executor.submit(noisy, key=0.5, workers=2.0) for _ in range(3)]
-        results = {future.result() for future in futures}
-    assert len(results) == 3 and {result[:2] for result in results} == {(0.5, 2.0)}

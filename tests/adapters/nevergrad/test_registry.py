@@ -45,13 +45,6 @@ def test_point_19_importing_registers_one_name_and_loads_nothing() -> None:
     assert output.stdout.splitlines() == ["added FIDE", "changed", "imported"]
 
 
-def test_point_19_without_nevergrad_it_is_named() -> None:
-    probe = "import sys; sys.modules['nevergrad'] = None; import fide_adapters.nevergrad"
-    output = subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True)
-    assert "DependencyError" in output.stderr
-    assert "pip install nevergrad (or this distribution with its extra nevergrad" in output.stderr
-
-
 def test_point_19_a_name_of_somebody_else_is_not_taken() -> None:
     registry = ng.optimizers.registry
     try:
@@ -119,13 +112,6 @@ def test_point_19_settings_reach_the_search() -> None:
     assert (made.popsize, made.options.encoder, made.options.restarts) == (9, "patch", "none")
     proposal = made.options.proposal
     assert (proposal.buffer_generations, proposal.channel_subsets) == (2, (3,))
-
-
-@pytest.mark.parametrize(("workers", "expected"), [(1, 9), (9, 9), (30, 30)])
-def test_a_generation_has_a_candidate_for_each_worker(workers: int, expected: int) -> None:
-    optimizer = fide(workers=workers)
-    optimizer.ask()
-    assert optimizer.fide.popsize == expected  # 4 + 3 ln 6 = 9
 
 
 def test_the_target_may_be_set_until_the_search_begins() -> None:

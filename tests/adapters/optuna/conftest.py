@@ -81,7 +81,7 @@ def counts_of(study: optuna.Study) -> dict[str, int]:
 
 def state_of(study: optuna.Study) -> StudyState:
     """What the study's sampler knows; only tests look into it."""
-    return Bench.sampler_of(study)._states.of(study)
+    return Bench.sampler_of(study)._state_of(study)
 
 
 def asked_by_core(bench: Bench, trials: int, **settings: Any) -> Float64:

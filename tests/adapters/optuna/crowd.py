@@ -20,26 +20,12 @@ from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-import numpy as np
 import optuna
-from optuna.distributions import FloatDistribution
+from conftest import Bench  # type: ignore[import-not-found]  # beside this program
 from optuna.storages import BaseStorage, JournalStorage, RDBStorage
 from optuna.storages.journal import JournalFileBackend
 
-from fide_adapters.optuna import FIDESampler
-
-NAMES = [f"x{i}" for i in range(5)]
-
-
-def render(x: Any) -> Any:
-    """Image (8, 8, 3) of a soft disk."""
-    grid = (np.arange(8) + 0.5) / 8
-    distance = np.hypot(grid[None, :] - x[0], grid[:, None] - x[1])
-    inside = 1 / (1 + np.exp((distance - 0.3) * 15))
-    return (inside[..., None] * np.asarray(x[2:5])).astype(np.float32)
-
-
-TARGET = render([0.7, 0.35, 0.9, 0.4, 0.2])
+BENCH = Bench()
 
 
 def open_storage(where: str) -> BaseStorage:
@@ -51,17 +37,15 @@ def open_storage(where: str) -> BaseStorage:
 
 def open_study(where: str) -> optuna.Study:
     """The study, with a new sampler."""
-    space = {name: FloatDistribution(0.0, 1.0) for name in NAMES}
-    sampler = FIDESampler(TARGET, seed=0, popsize=6, search_space=space)
+    sampler = BENCH.sampler(search_space=BENCH.space)
     return optuna.load_study(study_name="crowd", storage=open_storage(where), sampler=sampler)
 
 
 def belief(study: optuna.Study) -> dict[str, Any]:
     """What a sampler has learned."""
-    sampler = study.sampler
-    assert isinstance(sampler, FIDESampler)
+    sampler = BENCH.sampler_of(study)
     counts = sampler.counts(study)
-    optimizer = sampler._states.of(study).optimizer
+    optimizer = sampler._state_of(study).optimizer
     candidate = optimizer.replica.candidate(0).x.tolist()
     return {"counts": counts, "at": optimizer.at, "next": candidate, "pid": os.getpid()}
 
@@ -69,13 +53,12 @@ def belief(study: optuna.Study) -> dict[str, Any]:
 def work(worker: int, where: str, trials: int, folder: Path, dies: int) -> None:
     """Run so many trials."""
     study = open_study(where)
-    sampler = study.sampler
-    assert isinstance(sampler, FIDESampler)
+    objective_of_bench = BENCH.objective(BENCH.sampler_of(study))
     mine = 0
 
     def objective(trial: optuna.Trial) -> float:
         nonlocal mine
-        loss = sampler.tell_image(trial, render([trial.suggest_float(n, 0, 1) for n in NAMES]))
+        loss: float = objective_of_bench(trial)
         if worker == 0 and mine == dies:
             os.kill(os.getpid(), signal.SIGKILL)
         mine += 1

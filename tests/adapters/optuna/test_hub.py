@@ -57,26 +57,6 @@ def test_point_25_the_header_is_what_the_registry_confirms() -> None:
     assert header["license"] == "MIT License"
 
 
-def test_point_25_the_layout_is_the_registry_s() -> None:
-    names = {str(p.relative_to(FOLDER)) for p in FOLDER.rglob("*") if "__pycache__" not in p.parts}
-    assert names == {
-        "README.md",
-        "LICENSE",
-        "__init__.py",
-        "sampler.py",
-        "example.py",
-        "requirements.txt",
-        "tests",
-        "tests/__init__.py",
-        "tests/test_sampler.py",
-    }
-    assert (FOLDER / "LICENSE").read_text().startswith("MIT License")
-    _, text = header_and_text()
-    sections = re.findall(r"^## (.*)$", text, re.MULTILINE)
-    assert sections == ["Abstract", "APIs", "Installation", "Example", "Others"]
-    assert not re.search(r"</?[a-z]+[^>]*>", text)  # no HTML
-
-
 def test_point_25_the_package_is_the_published_sampler() -> None:
     module: Any = load()
     assert module.FIDESampler is FIDESampler

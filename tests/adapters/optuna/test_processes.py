@@ -18,7 +18,7 @@ from optuna.storages import JournalStorage, RDBStorage
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import FrozenTrial, TrialState
 
-from fide_adapters.optuna.storage import ASK, read_ask
+from fide_adapters.optuna.storage import read_ask
 
 CROWD = Path(__file__).with_name("crowd.py")
 WORKERS, TRIALS, DIES = 4, 6, 3
@@ -93,7 +93,7 @@ def places(trials: list[FrozenTrial], complete: list[FrozenTrial]) -> list[float
     does: two workers that ask at the same moment may both say it.  A trial that is skipped itself
     is no place.
     """
-    asks = {t.number: ask for t in trials if (ask := read_ask(t.system_attrs.get(ASK))) is not None}
+    asks = {t.number: ask for t in trials if (ask := read_ask(t)) is not None}
     skipped = {number for ask in asks.values() for number in ask.skipped}
     late: dict[int, int] = {}
     for at in sorted(asks.keys() - skipped):

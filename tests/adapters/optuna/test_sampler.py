@@ -3,24 +3,16 @@
 from __future__ import annotations
 
 import copy
-import json
-import os
 import pickle
-import subprocess
-import sys
-from collections import Counter
 from typing import Any
 
 import numpy as np
 import optuna
 import pytest
-from optuna.distributions import FloatDistribution
-from optuna.samplers import RandomSampler
 from optuna.trial import Trial
 
 from fide_adapters.optuna import FIDESampler
-from fide_adapters.optuna.settings import Settings
-from fide_plugins import FIDE, encoders
+from fide_plugins import FIDE
 
 from .conftest import Bench, asked_by_core, counts_of
 
@@ -58,58 +50,6 @@ def test_point_4_without_a_given_space_it_is_the_same(bench: Bench, names: list[
         )
         core.tell(X, np.stack([bench.render(np.resize(x, 5)) for x in X]))
     assert sampler.counts(study) == {"member": 60, "image": 60}
-
-
-@pytest.mark.parametrize("target", [True, False])
-def test_an_encoder_is_made_once_and_few_optimizers(
-    bench: Bench, target: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Also in the first trial, whose 20 parameters are suggested one by one."""
-    made: Counter[str] = Counter()
-    make_encoder, make_optimizer = encoders.make, Settings.make
-
-    def counted_encoder(*arguments: Any, **options: Any) -> Any:
-        made["encoders"] += 1
-        return make_encoder(*arguments, **options)
-
-    def counted_optimizer(*arguments: Any, **options: Any) -> FIDE:
-        made["optimizers"] += 1
-        return make_optimizer(*arguments, **options)
-
-    monkeypatch.setattr(encoders, "make", counted_encoder)
-    monkeypatch.setattr(Settings, "make", counted_optimizer)
-    sampler: FIDESampler = bench.sampler(target=bench.target if target else None)
-
-    def objective(trial: Trial) -> float:
-        x = [trial.suggest_float(f"x{i}", 0, 1) for i in range(20)]
-        image = bench.render(x[:5])
-        return sampler.tell_image(trial, image) if target else float(image.mean())
-
-    optuna.create_study(sampler=sampler).optimize(objective, n_trials=20)
-    # an optimizer for the first trial, and one for the search
-    assert made == {"encoders": 1 if target else 2, "optimizers": 2}
-
-
-def test_groups_may_be_of_more_parameters_than_the_first_trial_expects(bench: Bench) -> None:
-    """How many the first trial will have is not known when its first parameter is suggested."""
-    names = [f"x{i}" for i in range(80)]
-    groups = [list(range(5 * i, 5 * i + 5)) for i in range(16)]
-
-    def run(**settings: Any) -> optuna.Study:
-        sampler = bench.sampler(groups=groups, **settings)
-        study = optuna.create_study(sampler=sampler)
-
-        def objective(trial: Trial) -> float:
-            x = [trial.suggest_float(name, 0, 1) for name in names]
-            return sampler.tell_image(trial, bench.render(x))
-
-        study.optimize(objective, n_trials=8)
-        return study
-
-    known = run(search_space={name: FloatDistribution(0, 1) for name in names})
-    study = run()
-    assert [t.params for t in study.trials] == [t.params for t in known.trials]
-    assert counts_of(study) == {"member": 8, "image": 8}
 
 
 def test_point_4_same_seed_same_study(bench: Bench) -> None:
@@ -150,49 +90,10 @@ def test_point_2_reproducible(constant: bool) -> None:
     assert params_of(FIDESampler(seed=2), constant) != first
 
 
-def test_point_2_a_seed_of_more_than_32_bits_is_a_seed_as_in_fide() -> None:
-    first = params_of(FIDESampler(seed=2**40, n_startup_trials=5))
-    assert params_of(FIDESampler(seed=2**40, n_startup_trials=5)) == first
-    others = params_of(FIDESampler(seed=0, n_startup_trials=5))
-    assert all(one != other for one, other in zip(first, others, strict=True))
-
-
 def test_point_2_reseeding_changes_what_is_sampled() -> None:
     sampler = FIDESampler(seed=1)
     sampler.reseed_rng()
     assert params_of(sampler) != params_of(FIDESampler(seed=1))
-
-
-def test_point_2_reseeding_reaches_the_independent_sampler() -> None:
-    independent = RandomSampler(seed=0)
-    before = str(independent._rng.rng.get_state())
-    sampler = FIDESampler(seed=0, independent_sampler=independent)
-    sampler.reseed_rng()
-    assert str(independent._rng.rng.get_state()) != before
-
-
-ELSEWHERE = """
-import json
-import optuna
-from fide_adapters.optuna import FIDESampler
-
-optuna.logging.set_verbosity(optuna.logging.ERROR)
-study = optuna.create_study(sampler=FIDESampler(seed=1))
-study.optimize(lambda t: t.suggest_float("a", 0, 1) + t.suggest_int("g", 1, 3), n_trials=15)
-print(json.dumps([[t.params for t in study.trials], hash("differs from process to process")]))
-"""
-
-
-@pytest.mark.thorough
-def test_point_2_reproducible_in_another_process() -> None:
-    run = [sys.executable, "-c", ELSEWHERE]
-    environment = {**os.environ, "PYTHONHASHSEED": "12345"}
-    done = subprocess.run(run, env=environment, capture_output=True, text=True, check=True)
-    params, hashed = json.loads(done.stdout)
-    study = optuna.create_study(sampler=FIDESampler(seed=1))
-    study.optimize(lambda t: t.suggest_float("a", 0, 1) + t.suggest_int("g", 1, 3), n_trials=15)
-    assert [t.params for t in study.trials] == params
-    assert hash("differs from process to process") != hashed
 
 
 @pytest.mark.parametrize("how", ["pickle", "deepcopy"])
@@ -207,11 +108,3 @@ def test_point_3_a_copy_goes_on_as_if_nothing_had_happened(bench: Bench, how: st
     bench.run(again, 30)
     np.testing.assert_array_equal(bench.points(again), bench.points(study))
     assert counts_of(study)["image"] == 60
-
-
-def test_point_3_a_pickle_holds_no_image_and_no_lock(bench: Bench) -> None:
-    study = optuna.create_study(sampler=bench.sampler())
-    bench.run(study, 100)
-    small = len(pickle.dumps(study.sampler))
-    bench.run(study, 100)
-    assert len(pickle.dumps(study.sampler)) < 1.2 * small

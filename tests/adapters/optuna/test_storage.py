@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-import json
-import math
-import pickle
 import warnings
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import optuna
 import pytest
-from optuna.storages import InMemoryStorage
 from optuna.testing.storages import STORAGE_MODES, StorageSupplier
-from optuna.trial import FrozenTrial, Trial, TrialState
+from optuna.trial import Trial, TrialState
 
 from fide_adapters.optuna import FIDESampler
-from fide_adapters.optuna.images import BYTES, ImageEvaluator
-from fide_adapters.optuna.storage import MOST_NAMED, Ask, read_ask, write_image
+from fide_adapters.optuna.images import ImageEvaluator
 from fide_plugins import FIDE
 
 from .conftest import Bench, state_of
@@ -53,39 +47,6 @@ def test_point_5_every_storage_gives_the_same(mode: str, in_memory: list[dict[st
             assert params_in(storage) == in_memory
 
 
-def size_of(attributes: dict[str, Any]) -> int:
-    ours = {key: value for key, value in attributes.items() if key.startswith("fide:")}
-    assert len(ours) == len(attributes)
-    assert all(len(json.dumps(value)) <= 2045 for value in ours.values())
-    return sum(len(key) + len(json.dumps(value)) for key, value in ours.items())
-
-
-def test_point_6_two_kibibytes_a_trial_at_200_dimensions() -> None:
-    target = np.random.default_rng(0).random((112, 112, 3))
-    sampler = FIDESampler(target, seed=0)
-    study = optuna.create_study(sampler=sampler)
-
-    def objective(trial: Trial) -> float:
-        x = [trial.suggest_float(f"x{i}", 0, 1) for i in range(200)]
-        return sampler.tell_image(trial, np.random.default_rng(int(1e9 * x[0])).random((112, 112)))
-
-    study.optimize(objective, n_trials=8)
-    sizes = [size_of(trial.system_attrs) for trial in study.trials]
-    assert max(sizes) <= 2048
-    code = "A" * (4 * math.ceil(BYTES / 3))  # in base64
-    numbers = tuple(range(10**6 - MOST_NAMED, 10**6))
-    worst = Ask("0" * 8, 10**6, 2 * 10**6, 10**6, True, numbers, numbers, False, "0" * 4).to_json()
-    assert size_of({"fide:ask": worst, "fide:image": write_image("0" * 8, code, "0" * 4)}) <= 2048
-    assert not study._storage.get_study_system_attrs(study._study_id)
-
-
-def test_a_record_says_where_losses_only_began_a_search() -> None:
-    ask = Ask("0" * 8, generation=3, slot=1, began=2, guided=False)
-    assert ask.to_json()["a"] == 1 and read_ask(ask.to_json()) == ask
-    guided = Ask("0" * 8, generation=3, slot=1, began=2)
-    assert "a" not in guided.to_json() and read_ask(guided.to_json()) == guided
-
-
 def test_point_7_eight_threads(bench: Bench) -> None:
     sampler = bench.sampler()
     study = optuna.create_study(sampler=sampler)
@@ -96,7 +57,7 @@ def test_point_7_eight_threads(bench: Bench) -> None:
     images = ImageEvaluator(lambda: FIDE(5, bench.target).evaluator)
     for trial in study.trials:  # every feature belongs to its own trial
         image = bench.render([trial.params[name] for name in bench.names])
-        code = trial.system_attrs["fide:image"]["d"]
+        code = trial.system_attrs["fide:image"]["code"]
         assert code == images.codec.pack(images.tokens(image[None]))
     counts = sampler.counts(study)
     waiting = counts.get("waiting", 0)  # overdue ones, which count when the next one is asked
@@ -105,63 +66,3 @@ def test_point_7_eight_threads(bench: Bench) -> None:
     assert len(state_of(study).features) <= waiting
     X = bench.points(study)
     assert len(np.unique(X, axis=0)) == 120
-
-
-class Counting(list[FrozenTrial]):
-    """A list that counts how often it is looked into."""
-
-    looks = 0
-
-    def __getitem__(self, index: Any) -> Any:
-        Counting.looks += 1
-        return super().__getitem__(index)
-
-    def __iter__(self) -> Any:
-        raise AssertionError("nobody looks at all trials")
-
-
-class Elsewhere:
-    """A storage that is not known to be in memory."""
-
-    def __init__(self) -> None:
-        self._real = InMemoryStorage()
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._real, name)
-
-    def get_all_trials(self, study_id: int, deepcopy: bool = True, states: Any = None) -> Any:
-        trials = self._real.get_all_trials(study_id, deepcopy, states)
-        return trials if states else Counting(trials)
-
-
-class InMemory(InMemoryStorage):
-    """The one that is, which nobody asks for all trials."""
-
-    def get_all_trials(self, study_id: int, deepcopy: bool = True, states: Any = None) -> Any:
-        assert states is not None, "nobody looks at all trials"
-        return super().get_all_trials(study_id, deepcopy, states)
-
-    def get_trial(self, trial_id: int) -> FrozenTrial:
-        Counting.looks += 1
-        return super().get_trial(trial_id)
-
-
-@pytest.mark.parametrize("make", [Elsewhere, InMemory])
-def test_point_15_no_trial_is_looked_at_for_ever(bench: Bench, make: Callable[[], Any]) -> None:
-    sampler = bench.sampler(search_space=bench.space)
-    study = optuna.create_study(storage=make(), sampler=sampler)
-    looks = []
-    for _ in range(3):
-        Counting.looks = 0
-        bench.run(study, 60)
-        looks.append(Counting.looks)
-    assert 60 <= looks[0] <= 60 * 30 and looks[2] <= looks[0] + 20
-
-
-def test_point_15_finished_trials_are_not_touched(bench: Bench) -> None:
-    study = optuna.create_study(sampler=bench.sampler())
-    bench.run(study, 20)
-    before = pickle.dumps(study.get_trials(deepcopy=False))
-    bench.run(study, 20)
-    study.sampler.reseed_rng()
-    assert pickle.dumps(study.get_trials(deepcopy=False)[:20]) == before

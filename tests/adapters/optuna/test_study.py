@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import logging
 import warnings
 from typing import Any
 
 import numpy as np
 import optuna
 import pytest
-from optuna.distributions import FloatDistribution
 from optuna.samplers import PartialFixedSampler, RandomSampler
 from optuna.trial import Trial, TrialState
 
@@ -32,49 +30,6 @@ def test_point_11_conditional_parameters(bench: Bench) -> None:
     study.optimize(objective, n_trials=100)
     assert all(t.state is TrialState.COMPLETE for t in study.trials)
     assert study.best_value < 0.3
-
-
-def test_point_11_a_space_that_changes_and_changes_back(
-    bench: Bench, caplog: pytest.LogCaptureFixture
-) -> None:
-    study = optuna.create_study(sampler=bench.sampler())
-    sampler = bench.sampler_of(study)
-
-    def other(trial: Trial) -> float:
-        trial.suggest_float("x0", 0.0, 2.0)
-        return trial.suggest_float("new", 0, 1)
-
-    with caplog.at_level(logging.WARNING, "fide_adapters.optuna"):
-        bench.run(study, 20)
-        study.optimize(other, n_trials=20)
-        bench.run(study, 20)
-    assert [r.message.split(";")[0] for r in caplog.records] == [
-        "the search space of the study has changed"
-    ]
-    counts = counts_of(study)
-    assert counts["left out"] == 20
-    assert counts["member"] == 20 + 10 and counts["injected"] == 10  # searched together again
-    assert sorted(study.trials[35].params) == ["new", "x0"]
-    spaces = sampler.infer_relative_search_space(study, study.trials[-1])
-    assert list(spaces) == list(bench.names)
-
-
-def test_point_11_a_range_that_never_stays_is_left_to_the_independent_sampler() -> None:
-    """What that sampler draws is noise in the loss, so several searches are judged."""
-
-    def objective(trial: Trial) -> float:
-        x = trial.suggest_float("x", 0, 1)
-        return x + trial.suggest_float("y", 0, x + 0.1)
-
-    found = []
-    for seed in range(5):
-        study = optuna.create_study(sampler=FIDESampler(seed=seed))
-        study.optimize(objective, n_trials=40)
-        trial = study.trials[-1]
-        assert list(study.sampler.infer_relative_search_space(study, trial)) == ["x"]
-        assert counts_of(study)["member"] > 30
-        found.append(study.best_value)
-    assert np.median(found) < 0.15
 
 
 # -- points 12 and 13: directions, constraints -----------------------------------------------------
@@ -104,17 +59,6 @@ def test_point_12_the_sampler_s_own_loss_is_not_to_be_maximized(bench: Bench) ->
     with pytest.raises(ProtocolError, match="maximizes; give a loss"):
         bench.sampler_of(study).tell_image(trial, image)
     assert not study.trials[0].system_attrs.keys() & {"fide:image"}
-
-
-def test_point_13_several_objectives_are_refused_by_name(bench: Bench) -> None:
-    study = optuna.create_study(directions=["minimize", "minimize"], sampler=bench.sampler())
-    trial = study.ask()
-    with pytest.raises(ValueError, match="FIDESampler cannot be used"):
-        study.sampler.sample_independent(study, study.trials[0], "x", FloatDistribution(0, 1))
-    with pytest.raises(ValueError, match="FIDESampler cannot be used"):
-        study.sampler.sample_relative(study, study.trials[0], bench.space)
-    with pytest.raises(ValueError, match="FIDESampler cannot be used"):
-        trial.suggest_float("x", 0, 1)
 
 
 def test_point_13_several_objectives_are_refused_where_all_parameters_are_enqueued(

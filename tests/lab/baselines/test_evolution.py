@@ -101,26 +101,6 @@ def test_constant_losses_restart_without_complaint() -> None:
     assert opt.starts > 1
 
 
-def test_a_restart_ignores_what_was_asked_before_it() -> None:
-    opt = CMA(2, popsize=8, seed=0)
-    late = opt.ask()
-    while opt.starts == 1:
-        X = opt.ask()
-        opt.tell(X, losses=((X - 0.4) ** 2).sum(axis=1))
-    mean = opt.recommend()
-    opt.tell(late, losses=np.zeros(8))
-    np.testing.assert_array_equal(opt.recommend(), mean)
-    assert opt.best is not None and opt.best.loss == 0.0
-
-
-def test_an_optimum_in_the_corner_of_the_box() -> None:
-    opt = CMA(4, seed=0)
-    while opt.evaluations < 1500:
-        X = opt.ask()
-        opt.tell(X, losses=X.sum(axis=1))
-    assert opt.best is not None and opt.best.loss < 1e-6
-
-
 def test_the_recommendation_is_of_the_search_that_found_the_best() -> None:
     """Two basins: most searches end in the worse one, and the last is seldom the best."""
 

@@ -70,14 +70,6 @@ def test_a_state_before_training_is_put_back_whole() -> None:
     np.testing.assert_array_equal(used.sample(9, image), fresh.sample(9, image))
 
 
-def test_channels_that_never_vary_do_no_harm() -> None:
-    x = np.random.default_rng(0).random((50, 2))
-    tokens = torch.cat([unordered(x), torch.ones(50, 1, 3)], dim=2)
-    predictor = PosteriorSampler(2, epochs=1, width=8, blocks=1)
-    assert bool(predictor.update(x, tokens).isfinite().all())
-    assert np.isfinite(predictor.sample(5, tokens[0])).all()
-
-
 def test_the_proposer_is_as_it_was_after_a_training_that_raises_and_after_samples() -> None:
     x = np.random.default_rng(0).random((50, 2))
     predictor = PosteriorSampler(2, epochs=3, width=8, blocks=1)
@@ -88,11 +80,6 @@ def test_the_proposer_is_as_it_was_after_a_training_that_raises_and_after_sample
         predictor.fit(x, torch.zeros(50, 3, 2), epochs=8)
     predictor.sample(5, unordered(x)[0])
     assert (proposer.epochs, proposer.learning_rate, proposer.schedule) == before
-
-
-def test_at_least_one_step() -> None:
-    with pytest.raises(OptionError, match="steps"):
-        PosteriorSampler(2, steps=0)
 
 
 ANSWER = np.array([[0.2, 0.7]])
@@ -213,31 +200,3 @@ def test_it_recommends_the_mean_of_the_best_ensemble() -> None:
     np.testing.assert_array_equal(better.recommend(), better.ask().mean(axis=0))
     np.testing.assert_array_equal(worse.recommend(), begun.recommend())
     assert not np.array_equal(worse.recommend(), worse.ask().mean(axis=0))
-
-
-def test_an_ensemble_without_a_loss_is_not_kept() -> None:
-    opt = EKI(3, blobs(np.full((1, 3), 0.3))[0], seed=0, popsize=6, patience=1)
-    opt.tell(opt.ask(), np.full((6, 16, 16, 3), 0.5, np.float32), np.full(6, np.inf))
-    assert opt.starts == 2
-    np.testing.assert_array_equal(opt.recommend(), opt.ask().mean(axis=0))
-
-
-def test_the_ensemble_that_is_over_is_saved() -> None:
-    opt = restarted(0.6)
-    state = opt.state_dict()
-    again = EKI(**opt.settings())
-    again.load_state_dict(state)
-    np.testing.assert_array_equal(again.recommend(), opt.recommend())
-    for odd in ({**state, "search": 3}, {**state, "search": {"own": 3}}):
-        with pytest.raises(ValueError, match="state"):
-            again.load_state_dict(odd)
-
-
-def test_every_member_is_evaluated_once() -> None:
-    opt = EKI(2, blobs(np.full((1, 2), 0.3))[0], seed=0, popsize=5)
-    first, second = opt.ask(), opt.ask()
-    np.testing.assert_array_equal(first, second)
-    opt.tell(first, blobs(first))
-    members = opt.ask()
-    opt.tell(second, blobs(second))  # late: it is not of this generation
-    np.testing.assert_array_equal(opt.ask(), members)

@@ -217,16 +217,3 @@ def test_a_wrong_recommendation_fails_after_the_first_generation(kind: str) -> N
     opt.tell(X[:5], losses=X[:5].sum(1))
     with pytest.raises(PointsError, match=r"recommend\(\) of .* must return .* shape \(3,\) in "):
         opt.tell(X[5:], losses=X[5:].sum(1))
-
-
-def test_a_right_recommendation_is_tried_once() -> None:
-    opt: Any = optimizers.make("mine.py:Recommends", 3, seed=0, kind="right")
-    for losses in (np.full(6, np.nan), np.ones(6), np.ones(6)):  # no best point at first
-        opt.tell(opt.ask(), losses=losses)
-    assert opt._user.recommended == 1
-    np.testing.assert_array_equal(opt.recommend(), [0.25, 0.0, 1.0])
-
-
-def test_frameworks_win_over_modules_of_their_name(tmp_path: Path) -> None:
-    (tmp_path / "optuna.py").write_text("class TPESampler: ...\n")
-    assert optimizers.make("optuna:TPESampler", 2, seed=0).name == "optuna:TPESampler"

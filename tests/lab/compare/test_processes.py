@@ -39,14 +39,14 @@ def test_every_item_has_its_result_and_a_death_takes_one_with_it(child: Any) -> 
 def test_an_item_for_which_no_process_starts_is_lost_alone(
     child: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    submit = processes._Worker._submit
+    submit = processes._Worker.submit
 
     def failing(worker: Any, work: Any, item: Any) -> Any:
         if item == 2:
             raise BrokenProcessPool
         return submit(worker, work, item)
 
-    monkeypatch.setattr(processes._Worker, "_submit", failing)
+    monkeypatch.setattr(processes._Worker, "submit", failing)
     results = list(in_processes(child.work, [1, 2, 3], 2, child.lost))
     assert sorted(item for _, item in results) == [1, 2, 3]
     assert [item for pid, item in results if pid is None] == [2]

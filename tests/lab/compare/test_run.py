@@ -114,22 +114,11 @@ def _cut(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-9])
 
 
-def _edit_totals(folder: Path, **totals: Any) -> None:
-    run = json.loads((folder / "run.json").read_text())
-    run["totals"] |= totals
-    (folder / "run.json").write_text(json.dumps(run))
-
-
 DAMAGE: dict[str, Any] = {
     "no record": lambda folder: (folder / "run.json").unlink(),
     "all but a picture removed": lambda folder: [
         file.unlink() for file in folder.iterdir() if file.suffix != ".png"
     ],
-    "totals that lack a number": lambda folder: _edit_totals(folder, dim=None),
-    "totals without a judgment": lambda folder: _edit_totals(folder, judged=3),
-    "a loss that is a word": lambda folder: _edit_totals(folder, reference_loss="low"),
-    "times that lack a part": lambda folder: _edit_totals(folder, times={"render": 1.0}),
-    "no evaluation at all": lambda folder: _edit_totals(folder, evaluations=0),
     "a table that was cut": lambda folder: _cut(folder / "improvements.csv"),
     "a table that was edited": lambda folder: (folder / "curve.csv").write_text(
         "evaluation,loss\n"
@@ -244,26 +233,6 @@ def test_a_process_that_dies_before_its_run_begins_costs_that_run_only(
     assert said == f"{outcomes[0].note}\n" == "the process that ran it died\n"
 
 
-def test_a_failure_that_is_repeated_and_interrupted_is_one_no_more(
-    misbehaving: type[Raises], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """An earlier attempt's failure would count as an infinite loss."""
-
-    class Killed(BaseException):
-        pass
-
-    def kill(*_: object) -> None:
-        raise Killed
-
-    plan = small("raises", seeds=1)
-    compare.run(plan, tmp_path)
-    assert [run.state for run in compare.read(tmp_path).runs] == ["failed"]
-    monkeypatch.setattr(misbehaving, "tell", kill)
-    with pytest.raises(Killed):
-        compare.run(plan, tmp_path, resume=True)
-    assert [run.state for run in compare.read(tmp_path).runs] == ["unfinished"]
-
-
 def test_a_run_that_another_process_executes_is_left_alone(tmp_path: Path) -> None:
     folder = tmp_path / RunKey("voronoi", "mse", "cma", 0).folder
     comparison = prepare(small(), tmp_path)
@@ -291,15 +260,6 @@ def test_what_others_write_meanwhile_is_kept(tmp_path: Path) -> None:
     }
     assert sorted(call["command"] for call in found.calls) == [[], ["second"]]
     assert all(call["finished"] for call in found.calls)
-
-
-def test_another_comparison_that_was_begun_meanwhile_is_not_overwritten(tmp_path: Path) -> None:
-    late = prepare(small(seeds=1, budget=50), tmp_path)
-    compare.run(small(seeds=1), tmp_path)
-    before = contents(tmp_path)
-    with pytest.raises(RunDirectoryError, match="budget is 40 there and 50 here"):
-        late.execute()
-    assert contents(tmp_path) == before
 
 
 def test_folders_of_other_things_are_left_alone(tmp_path: Path) -> None:

@@ -1,29 +1,30 @@
-"""A file of the user that is edited between two calls of a comparison."""
+"""A file, a model, weights or a loss that are others at the next call: results are not mixed."""
 
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import sys
-import warnings
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from fide_lab import compare
-from fide_lab.compare import Configuration, Plan
+from fide_lab import compare, run as harness
+from fide_lab.compare import Plan
 from fide_lab.compare.driver import prepare
-from fide_lab.compare.plan import as_file_name
+from fide_plugins import encoders, losses
 from fide_plugins.cli import main
+from fide_plugins.encoders.patch import RawPatchEncoder
+from fide_plugins.errors import CheckpointError
 from fide_plugins.learning import learn
+from fide_plugins.losses.mse import MeanSquaredError
 from fide_plugins.recording.storage import RunDirectoryError
 from fide_plugins.renderers import FunctionRenderer
-from fide_plugins.runtime.registry import of_file
 
-from .conftest import contents
+from .conftest import contents, small
 
 MINE = """
 import numpy as np
@@ -31,11 +32,11 @@ LEAST = {least}
 
 class Search:
     popsize = 10
-    def __init__(self, dim, seed=None, fails_at=99):
+    def __init__(self, dim, seed=None, fails=False):
         self.rng = np.random.default_rng(seed)
-        self.dim, self.seed, self.fails_at = dim, seed, fails_at
+        self.dim, self.fails = dim, fails
     def ask(self, n):
-        if self.seed >= self.fails_at:
+        if self.fails and not LEAST:
             raise ArithmeticError("mend me")
         return self.rng.uniform(LEAST, 1, (n, self.dim))
     def tell(self, X, losses): ...
@@ -48,127 +49,24 @@ def render(x):
 """
 
 
+class Mine(MeanSquaredError):
+    """A loss that becomes another one."""
+
+    name, version = "mine", "mine-1"
+
+
+class Tiny(RawPatchEncoder):
+    """An encoder as if it had pretrained weights."""
+
+    name, weights_digest, version = "tiny", "a1", "tiny-1-a1"
+
+
 def write(path: Path, text: str) -> None:
     """Write a module, as if the next process were to load it."""
     path.write_text(text)
     for name, module in list(sys.modules.items()):
         if getattr(module, "__file__", None) == str(path):
             del sys.modules[name]
-
-
-def edit(path: Path, template: str = MINE, **values: object) -> None:
-    write(path, template.format(**values))
-
-
-@pytest.fixture(autouse=True)
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    edit(tmp_path / "mine.py", least=0.0)
-    edit(tmp_path / "scene.py", SCENE, dark=1.0)
-    return tmp_path
-
-
-def plan(*optimizers: str, task: str = "scene.py:render", **changes: Any) -> Plan:
-    named = tuple(map(Configuration.parse, optimizers or ("mine.py:Search", "random")))
-    settings: dict[str, Any] = {"seeds": 1, "budget": 20, **changes}
-    return Plan((task,), named, **settings)
-
-
-def kinds(outcomes: list[compare.Outcome]) -> list[str]:
-    return [outcome.kind for outcome in outcomes]
-
-
-def test_seeds_of_two_versions_are_not_mixed(folder: Path) -> None:
-    compare.run(plan(), "out")
-    edit(folder / "mine.py", least=0.5)
-    with pytest.raises(RunDirectoryError) as refused:
-        compare.run(plan(seeds=2), "out", resume=True)
-    for words in ("mine.py has changed", "mine.py:Search", "undo", "another directory", "delete"):
-        assert words in str(refused.value)
-    assert str(Path("out/cells/*/*/mine.py+Search")) in str(refused.value)
-    shutil.rmtree("out/cells/scene.py+render/mse/mine.py+Search")
-    outcomes = compare.run(plan(seeds=2), "out", resume=True)
-    assert kinds(outcomes) == ["done", "kept", "done", "done"], "what the message says is enough"
-
-
-def test_what_is_finished_is_reported_with_a_warning(folder: Path) -> None:
-    compare.run(plan(), "out")
-    edit(folder / "mine.py", least=0.5)
-    with pytest.warns(RuntimeWarning, match=r"mine\.py has changed .* earlier version") as found:
-        outcomes = compare.run(plan(), "out", resume=True)
-    assert kinds(outcomes) == ["kept", "kept"] and len(found) == 1
-    with pytest.warns(RuntimeWarning, match=r"mine\.py has changed"):
-        outcomes = compare.run(
-            plan("mine.py:Search", "mine.py:Search:fails_at=9"), "out", resume=True
-        )
-    assert kinds(outcomes) == ["kept", "done"], "options of its own, so another optimizer"
-
-
-def test_an_undone_change_is_none(folder: Path) -> None:
-    compare.run(plan(), "out")
-    edit(folder / "mine.py", least=0.5)
-    edit(folder / "mine.py", least=0.0)
-    assert kinds(compare.run(plan(seeds=2), "out", resume=True)) == ["kept", "kept", "done", "done"]
-
-
-def test_a_mended_optimizer_begins_its_failed_runs_anew(folder: Path) -> None:
-    everywhere = plan("mine.py:Search:fails_at=0", "random", seeds=2)
-    assert kinds(compare.run(everywhere, "out")) == ["failed", "done", "failed", "done"]
-    edit(folder / "mine.py", least=0.5)
-    write(folder / "mine.py", (folder / "mine.py").read_text().replace("raise", "pass # raise"))
-    comparison = prepare(everywhere, "out", resume=True)
-    states = [state for state in comparison.states.values() if state.kind == "outdated"]
-    assert [state.why for state in states] == ["mine.py has changed since it was begun"] * 2
-    outcomes = comparison.execute()
-    assert kinds(outcomes) == ["done", "kept", "done", "kept"]
-    assert outcomes[0].note == "repeated, because mine.py has changed since it was begun"
-
-
-def test_renders_of_two_versions_are_not_mixed(folder: Path, tmp_path: Path) -> None:
-    from PIL import Image
-
-    Image.new("L", (8, 8), 99).save("target.png")
-    options = {"target": "target.png"}
-    compare.run(plan("random", task_options=options), "out")
-    edit(folder / "scene.py", SCENE, dark=0.5)
-    with pytest.raises(
-        RunDirectoryError, match=r"scene\.py has changed .* delete .*scene\.py\+rend"
-    ):
-        compare.run(plan("random", "cma", task_options=options), "out", resume=True)
-    with pytest.warns(RuntimeWarning, match=r"scene\.py has changed"):
-        compare.run(plan("random", task_options=options), "out", resume=True)
-
-
-def test_a_comparison_of_an_earlier_version_goes_on(folder: Path) -> None:
-    compare.run(plan(), "out")
-    for file in Path("out").rglob("run.json"):
-        run = json.loads(file.read_text())
-        assert next(iter(run.pop("sources"))) == "scene.py:render"
-        file.write_text(json.dumps(run))
-    edit(folder / "mine.py", least=0.5)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        outcomes = compare.run(plan(seeds=2), "out", resume=True)
-    assert kinds(outcomes) == ["kept", "kept", "done", "done"]
-
-
-def test_a_run_that_another_process_executes_is_not_said_to_be_continued(folder: Path) -> None:
-    from fide_plugins.runtime import files
-
-    failing = plan("mine.py:Search:fails_at=0")
-    compare.run(failing, "out")
-    key = next(failing.runs())
-    assert prepare(failing, "out", resume=True).states[key].kind == "started"
-    with files.locked(Path("out") / key.folder / ".lock"):
-        assert prepare(failing, "out", resume=True).states[key].kind == "busy"
-
-
-def test_optimizers_and_tasks_of_ours_have_no_files(folder: Path) -> None:
-    small = plan("cma", task="voronoi", size=16, task_options={"cells": 2})
-    assert small.sources() == {}
-    compare.run(small, "out")
-    (file,) = Path("out").rglob("run.json")
-    assert set(json.loads(file.read_text())["sources"]) == {"loss=mse"}
 
 
 @pytest.fixture(scope="module")
@@ -184,108 +82,165 @@ def models(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return first, again
 
 
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, models: tuple[Path, Path]) -> Path:
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path / "mine.py", MINE.format(least=0.0))
+    write(tmp_path / "scene.py", SCENE.format(dark=1.0))
+    shutil.copy(models[0], tmp_path / "m.fide")
+    for registry, made in ((losses._REGISTRY, Mine), (encoders._REGISTRY, Tiny)):
+        factories: Any = registry._factories
+        monkeypatch.setattr(registry, "_factories", {**factories, made.name: made})
+    return tmp_path
+
+
 @pytest.fixture
-def model(folder: Path, models: tuple[Path, Path]) -> Path:
-    """File of the first model, where it is used."""
-    return Path(shutil.copy(models[0], folder / "m.fide"))
+def change(
+    folder: Path, models: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
+) -> Callable[[str], None]:
+    """Puts another version in the place of what is named."""
+
+    def put(what: str) -> None:
+        if what == "mine.py":
+            write(folder / what, MINE.format(least=0.5))
+        elif what == "m.fide":
+            shutil.copy(models[1], folder / what)
+        elif what == "the loss mine":
+            monkeypatch.setattr(Mine, "version", "mine-2")
+        else:
+            monkeypatch.setattr(Tiny, "weights_digest", "b2")
+            monkeypatch.setattr(Tiny, "version", "tiny-1-b2")
+
+    return put
 
 
-NAMED = ("learned=m.fide",)
+def plan(*optimizers: str, **changes: Any) -> Plan:
+    settings: dict[str, Any] = {"seeds": 1, "budget": 20, "losses": ("mse",), **changes}
+    return small(*optimizers, tasks=("scene.py:render",), task_options={}, **settings)
 
 
-@pytest.mark.parametrize("named", NAMED)
-@pytest.mark.parametrize("of_all", [False, True])
-def test_seeds_of_two_models_are_not_mixed(
-    named: str, of_all: bool, model: Path, models: tuple[Path, Path]
-) -> None:
-    option, _, value = named.partition("=")
-    common = {option: value} if of_all else {}
-    names = ("fide",) if of_all else (f"fide:{named}", "random")
+PLANS = {
+    "mine.py": (plan("mine.py:Search", "random"), "mine.py:Search"),
+    "m.fide": (plan("fide:learned=m.fide", "random"), "learned=m.fide"),
+    "the network of tiny": (plan("eki:encoder=tiny:popsize=20"), "encoder=tiny"),
+    "the loss mine": (plan("cma", losses=("mine",)), "loss=mine"),
+}
 
-    def run(seeds: int, **more: bool) -> list[str]:
-        return kinds(compare.run(plan(*names, seeds=seeds, options=common), "out", **more))
 
-    run(1)
+def kinds(plan: Plan, **more: Any) -> list[str]:
+    return [outcome.kind for outcome in compare.run(plan, "out", **more)]
+
+
+def sources(path: Path) -> Any:
+    return json.loads((path / "run.json").read_text())["sources"]
+
+
+@pytest.mark.parametrize("what", PLANS)
+def test_seeds_of_two_versions_are_not_mixed(what: str, change: Callable[[str], None]) -> None:
+    first, reference = PLANS[what]
+    more = replace(first, seeds=2)
+    kinds(first)
+    assert kinds(first, resume=True) == ["kept"] * len(first.configurations)
     there = contents(Path("out"))
-    shutil.copy(models[1], model)
+    change(what)
     with pytest.raises(RunDirectoryError) as refused:
-        run(2, resume=True)
-    for words in ("m.fide has changed", f"with {named} ", "undo", "another directory", "delete"):
+        kinds(more, resume=True)
+    said = f"{what} has changed since runs with {reference} in out were finished"
+    for words in (said, "undo the change", "another directory", "delete"):
         assert words in str(refused.value)
     assert contents(Path("out")) == there
-    pattern = f"cells/*/*/{as_file_name(names[0])}"
-    assert str(Path("out") / pattern) in str(refused.value)
-    (runs,) = Path("out").glob(pattern)
-    shutil.rmtree(runs)
-    assert run(2, resume=True)[0] == "done", "what the message says is enough"
+    shutil.rmtree(Path("out") / next(first.runs()).folder.parent)
+    assert kinds(more, resume=True)[0] == "done", "what the message says is enough"
+    folders = [Path("out") / key.folder for key in more.runs()]
+    assert len({str(sources(path).get(reference)) for path in folders} - {"None"}) == 1
 
 
-@pytest.mark.usefixtures("model")
-@pytest.mark.parametrize("named", NAMED)
-def test_runs_of_a_model_that_was_learned_again_are_reported_with_a_warning(
-    named: str, models: tuple[Path, Path]
+def test_an_undone_change_is_none(folder: Path, change: Callable[[str], None]) -> None:
+    kinds(plan("mine.py:Search"))
+    change("mine.py")
+    write(folder / "mine.py", MINE.format(least=0.0))
+    assert kinds(plan("mine.py:Search", seeds=2), resume=True) == ["kept", "done"]
+
+
+def test_a_mended_optimizer_begins_its_failed_runs_again(change: Callable[[str], None]) -> None:
+    failing = plan("mine.py:Search:fails=true", "random", seeds=2)
+    assert kinds(failing) == ["failed", "done"] * 2
+    change("mine.py")
+    comparison = prepare(failing, "out", resume=True)
+    states = [state for state in comparison.states.values() if state.kind == "outdated"]
+    assert [state.why for state in states] == ["mine.py has changed since it was begun"] * 2
+    outcomes = comparison.execute()
+    assert [outcome.kind for outcome in outcomes] == ["done", "kept"] * 2
+    assert outcomes[0].note == "repeated, because mine.py has changed since it was begun"
+
+
+def test_an_unfinished_run_of_fide_with_another_loss_begins_again(
+    change: Callable[[str], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    finished = plan(f"fide:{named}")
-    compare.run(finished, "out")
-    shutil.copy(models[1], "m.fide")
-    with pytest.warns(RuntimeWarning, match=r"m\.fide has changed .* earlier version") as found:
-        assert kinds(compare.run(finished, "out", resume=True)) == ["kept"]
-    assert len(found) == 1
+    def fail(run: harness.Run) -> None:
+        raise ArithmeticError("nothing is judged")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(harness.Run, "_judge", fail)
+        assert kinds(plan("fide", losses=("mine",))) == ["failed"]
+    change("the loss mine")
+    assert kinds(plan("fide", losses=("mine",)), resume=True) == ["done"]
 
 
-def test_the_same_model_is_none_that_changed(model: Path) -> None:
-    one = "fide:learned=m.fide"
-    compare.run(plan(one), "out")
-    content = model.read_bytes()
-    model.unlink()
-    model.write_bytes(content)
-    os.utime(model, (0, 0))
-    assert kinds(compare.run(plan(one, seeds=2), "out", resume=True)) == ["kept", "done"]
-    runs = [json.loads(file.read_text()) for file in Path("out").rglob("run.json")]
-    assert runs[0]["sources"] == runs[1]["sources"]
-    assert set(NAMED) < set(runs[0]["sources"])
+def test_a_run_that_another_process_executes_is_not_said_to_be_continued() -> None:
+    from fide_plugins.runtime import files
+
+    failing = plan("mine.py:Search:fails=true")
+    compare.run(failing, "out")
+    key = next(failing.runs())
+    assert prepare(failing, "out", resume=True).states[key].kind == "started"
+    with files.locked(Path("out") / key.folder / ".lock"):
+        assert prepare(failing, "out", resume=True).states[key].kind == "busy"
 
 
-def test_runs_whose_models_nobody_has_recorded_go_on(
-    model: Path, models: tuple[Path, Path]
-) -> None:
-    compare.run(plan("fide:learned=m.fide"), "out")
-    (file,) = Path("out").rglob("run.json")
-    run = json.loads(file.read_text())
-    del run["sources"]["learned=m.fide"]
-    file.write_text(json.dumps(run))
-    shutil.copy(models[1], model)
-    outcomes = compare.run(plan("fide:learned=m.fide", seeds=2), "out", resume=True)
-    assert kinds(outcomes) == ["kept", "done"]
-
-
-def test_an_unfinished_run_of_a_model_that_was_learned_again_begins_anew(
-    model: Path, models: tuple[Path, Path]
-) -> None:
-    one = plan("fide:learned=m.fide")
-    compare.run(one, "out")
-    (file,) = Path("out").rglob("run.json")
-    file.write_text(json.dumps(json.loads(file.read_text()) | {"state": "interrupted"}))
-    shutil.copy(models[1], model)
-    (outcome,) = compare.run(one, "out", resume=True)
-    assert outcome.kind == "done"
-    assert outcome.note == "repeated, because m.fide has changed since it was begun"
-    assert json.loads(file.read_text())["sources"]["learned=m.fide"] == [of_file(models[1])]
-
-
-@pytest.mark.filterwarnings("always:m.fide has changed while:RuntimeWarning")
+@pytest.mark.filterwarnings("always:mine.py has changed while:RuntimeWarning")
 def test_the_report_says_that_a_file_changed_between_its_runs(
-    model: Path, models: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+    change: Callable[[str], None], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    both = plan("fide:learned=m.fide", "fide", seeds=2)
-
-    def learn_again(outcome: compare.Outcome) -> None:
-        shutil.copy(models[1], model)
-
-    prepare(both, "out").execute(learn_again)
-    words = r"m\.fide has changed while runs with learned=m\.fide in out .*fide\+learned=m\.fide"
-    with pytest.warns(RuntimeWarning, match=words) as found:
+    prepare(plan("mine.py:Search", "random", seeds=2), "out").execute(lambda _: change("mine.py"))
+    for path in Path("out").rglob("run.json"):
+        run = json.loads(path.read_text())
+        if "mine.py:Search" in run["sources"] and run["settings"]["seed"]:
+            run["sources"]["mine.py:Search"] = ["file:0000000000000000"]
+            path.write_text(json.dumps(run))
+    words = r"mine\.py has changed while runs with mine\.py:Search in out .* 2 versions"
+    with pytest.warns(RuntimeWarning, match=words):
         compare.read("out")
-    assert len(found) == 1
     assert main(["report", "out"]) == 0
-    assert "fide report: m.fide has changed while runs" in capsys.readouterr().err
+    assert "fide report: mine.py has changed while runs" in capsys.readouterr().err
+
+
+SETTINGS: dict[str, Any] = {"size": 16, "task_options": {"cells": 2}, "out": "out"}
+
+
+@pytest.mark.parametrize(
+    ("what", "name", "loss", "options", "message"),
+    [
+        ("the loss mine", "fide", "mine", {}, "values of the loss mine-1; the one here is mine-2"),
+        ("", "fide", "mse", {"encoder": "tiny"}, "features of the encoder tiny-1-a1"),
+        ("", "eki", "mse", {"encoder": "tiny"}, "features of the encoder tiny-1-a1"),
+    ],
+)
+def test_a_run_of_another_version_is_not_continued(
+    what: str, name: str, loss: str, options: Any, message: str, change: Callable[[str], None]
+) -> None:
+    harness.run("voronoi", name, loss, 20, 1, options=options, **SETTINGS)
+    before = sources(Path("out"))
+    change(what)
+    with pytest.raises(CheckpointError, match=message):
+        harness.run("voronoi", name, loss, 30, 1, options=options, resume=True, **SETTINGS)
+    assert sources(Path("out")) == before
+
+
+def test_a_run_goes_on_with_a_warning(change: Callable[[str], None]) -> None:
+    """The optimizer has the losses that it was told, of both versions."""
+    harness.run("voronoi", "cma", "mine", 20, 1, **SETTINGS)
+    change("the loss mine")
+    with pytest.warns(RuntimeWarning, match="the loss mine has changed since the run in out"):
+        harness.run("voronoi", "cma", "mine", 30, 1, resume=True, **SETTINGS)
+    assert sources(Path("out"))["loss=mine"] == ["version:mine-1", "version:mine-2"]

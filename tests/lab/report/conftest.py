@@ -24,11 +24,11 @@ NASTY = {
 
 
 def curve(renders: Sequence[int], values: Sequence[float], end: int) -> Curve:
-    """A curve of which every render took a tenth of a second and was a round of its own."""
+    """A curve of which every render took a tenth of a second."""
     at = np.array(renders, float)
     return Curve(
-        {"renders": at, "seconds": at / 10, "rounds": at},
-        {"renders": float(end), "seconds": end / 10, "rounds": float(end)},
+        {"renders": at, "seconds": at / 10},
+        {"renders": float(end), "seconds": end / 10},
         np.array(values, float),
         {},
     )

@@ -68,9 +68,10 @@ def test_judging_takes_none_of_the_run_s_time() -> None:
             time.sleep(0.2)
             return super().reference(x)
 
+    start = time.perf_counter()
     result = harness.run(Slow(), "cma", budget=30)
     assert result.judge_s >= 0.4
-    assert result.wall_s < result.judge_s
+    assert result.wall_s + result.judge_s <= time.perf_counter() - start
 
 
 def test_without_a_reference_the_render_of_the_run_is_judged(tmp_path: Path) -> None:

@@ -77,21 +77,6 @@ def test_it_is_kept_before_the_first_checkpoint(tmp_path: Path) -> None:
     run(tmp_path, resume=True)
 
 
-def test_one_that_is_left_over_is_replaced(tmp_path: Path) -> None:
-    """By a run that was killed before it was written down."""
-    run(tmp_path / "old", budget=5, gray=0.7)
-    (tmp_path / "new").mkdir()
-    (tmp_path / "old" / "target.ckpt").rename(tmp_path / "new" / "target.ckpt")
-    run(tmp_path / "new", budget=5)
-    run(tmp_path / "new", resume=True)
-
-
-def test_a_run_that_keeps_no_checkpoint_keeps_no_target_for_it(tmp_path: Path) -> None:
-    keep = harness.Keep(checkpoint=False)
-    harness.run(RendersItsTarget(), "cma", budget=5, out=tmp_path, keep=keep)
-    assert (tmp_path / "target.png").exists() and not list(tmp_path.glob("*.ckpt"))
-
-
 @pytest.mark.parametrize("cut", [True, False])
 def test_a_damaged_file_is_refused(cut: bool, tmp_path: Path) -> None:
     run(tmp_path, budget=5)

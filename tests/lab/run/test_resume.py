@@ -6,6 +6,7 @@ import json
 import os
 import signal
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -26,30 +27,36 @@ from fide_plugins.recording.storage import RunDirectoryError
 from .tint import TARGET, NoisyTint, Tint, raise_interrupt, same
 
 
-def test_options_that_leave_every_image_as_it_is_may_change_on_resuming(tmp_path: Path) -> None:
+@pytest.fixture
+def known(monkeypatch: pytest.MonkeyPatch) -> Callable[[type], str]:
+    """Makes a class an optimizer by its name, which it returns."""
+
+    def register(cls: type) -> str:
+        monkeypatch.setitem(optimizers._REGISTRY._factories, cls.__name__.lower(), cls)
+        return cls.__name__.lower()
+
+    return register
+
+
+def test_a_run_is_resumed_only_where_the_same_renderer_and_target_are(tmp_path: Path) -> None:
     class Parallel(Tint):
-        incidental_options = ("workers",)
+        incidental_options, renderer = ("workers",), "llvm"
 
     settings: dict[str, Any] = {"optimizer": "cma", "budget": 5, "out": tmp_path}
-    harness.run(Parallel(), **settings, task_options={"workers": 1, "mood": "calm"})
-    harness.run(Parallel(), **settings, task_options={"workers": 2, "mood": "calm"}, resume=True)
+    calm = {"workers": 1, "mood": "calm"}
+    harness.run(Parallel(), **settings, task_options=calm)
+    assert json.loads((tmp_path / "run.json").read_text())["settings"]["renderer"] == "llvm"
+    harness.run(Parallel(), **settings, task_options={**calm, "workers": 2}, resume=True)
     with pytest.raises(RunDirectoryError, match="other settings: task_options"):
         harness.run(Parallel(), **settings, task_options={"mood": "wild"}, resume=True)
-
-
-def test_a_run_is_resumed_only_where_the_same_renderer_is(tmp_path: Path) -> None:
-    class Here(Tint):
-        renderer = "llvm"
-
-    class Elsewhere(Tint):
-        renderer = "scalar"
-
-    settings: dict[str, Any] = {"optimizer": "cma", "budget": 5, "out": tmp_path}
-    harness.run(Here(), **settings)
-    assert json.loads((tmp_path / "run.json").read_text())["settings"]["renderer"] == "llvm"
-    harness.run(Here(), **settings, resume=True)
-    with pytest.raises(RunDirectoryError, match="renderer is 'llvm' there and 'scalar' here"):
-        harness.run(Elsewhere(), **settings, resume=True)
+    for name, value, message in (
+        ("renderer", "scalar", "renderer is 'llvm' there and 'scalar' here"),
+        ("target", TARGET[::-1], "other settings: the target is"),
+    ):
+        other = Parallel()
+        setattr(other, name, value)
+        with pytest.raises(RunDirectoryError, match=message):
+            harness.run(other, **settings, task_options=calm, resume=True)
 
 
 @pytest.mark.parametrize("options", [{"device": "cpu"}, {}])
@@ -148,7 +155,9 @@ def test_a_kill_between_the_two_files_of_a_checkpoint(
     assert same(resumed, harness.run(Tint(), **settings))
 
 
-def test_a_signal_inside_the_optimizer_waits_for_the_step_to_end(tmp_path: Path) -> None:
+def test_a_signal_inside_the_optimizer_waits_for_the_step_to_end(
+    known: Callable[[type], str], tmp_path: Path
+) -> None:
     class Slow(Random):
         def tell(self, X: object, images: object = None, losses: object = None) -> None:
             if self.evaluations == 5:
@@ -156,19 +165,18 @@ def test_a_signal_inside_the_optimizer_waits_for_the_step_to_end(tmp_path: Path)
                 time.sleep(0.01)
             super().tell(X, images, losses)
 
-    optimizers.register("slow", Slow)
-    try:
-        settings: dict[str, Any] = {"optimizer": "slow", "budget": 40, "options": {"popsize": 5}}
-        with pytest.raises(harness.Interrupted):
-            harness.run(Tint(), **settings, out=tmp_path)
-        assert len((tmp_path / "curve.csv").read_text().splitlines()) == 1 + 10
-        resumed = harness.run(Tint(), **settings, out=tmp_path, resume=True)
-        assert same(resumed, harness.run(Tint(), "random", budget=40, options={"popsize": 5}))
-    finally:
-        optimizers._REGISTRY._factories.pop("slow")
+    known(Slow)
+    settings: dict[str, Any] = {"optimizer": "slow", "budget": 40, "options": {"popsize": 5}}
+    with pytest.raises(harness.Interrupted):
+        harness.run(Tint(), **settings, out=tmp_path)
+    assert len((tmp_path / "curve.csv").read_text().splitlines()) == 1 + 10
+    resumed = harness.run(Tint(), **settings, out=tmp_path, resume=True)
+    assert same(resumed, harness.run(Tint(), "random", budget=40, options={"popsize": 5}))
 
 
-def test_times_of_every_checkpoint_add_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_times_of_every_checkpoint_add_up(
+    known: Callable[[type], str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Also of one that is written between a long step of the optimizer and the first render."""
 
     class Slow(Random):
@@ -184,39 +192,10 @@ def test_times_of_every_checkpoint_add_up(tmp_path: Path, monkeypatch: pytest.Mo
 
     monkeypatch.setattr(RunDirectory, "save", noted)
     monkeypatch.setattr(CheckpointTimer, "due", lambda self, optimizer: True)
-    optimizers.register("slow", Slow)
-    try:
-        harness.run(Tint(), "slow", budget=10, options={"popsize": 5}, out=tmp_path)
-    finally:
-        optimizers._REGISTRY._factories.pop("slow")
+    known(Slow)
+    harness.run(Tint(), "slow", budget=10, options={"popsize": 5}, out=tmp_path)
     assert len(saved) == 5  # after each ask and each tell, and at the end
     assert all(parts <= wall for wall, parts in saved)
-
-
-def test_a_second_signal_stops_no_writing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from fide_plugins.runtime import checkpoint
-
-    settings: dict[str, Any] = {"optimizer": "cma", "budget": 60, "options": {"popsize": 10}}
-    write = checkpoint.write
-
-    def interrupted(path: Any, kind: str, state: dict[str, Any]) -> None:
-        raise_interrupt()
-        raise_interrupt()
-        write(path, kind, state)
-
-    def interrupt() -> None:
-        monkeypatch.setattr(checkpoint, "write", interrupted)
-        raise_interrupt()
-
-    task = Tint()
-    task.at_call[3] = interrupt
-    with pytest.raises(harness.Interrupted):
-        harness.run(task, **settings, out=tmp_path)
-    run = json.loads((tmp_path / "run.json").read_text())
-    assert run["state"] == "interrupted" and run["totals"]["evaluations"] == 20
-    monkeypatch.undo()
-    resumed = harness.run(Tint(), **settings, out=tmp_path, resume=True)
-    assert same(resumed, harness.run(Tint(), **settings))
 
 
 @pytest.mark.skipif(os.name == "nt", reason="no such locks on Windows")
@@ -263,14 +242,6 @@ def test_another_run_s_directory_is_refused_and_the_setting_named(tmp_path: Path
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
 
 
-def test_a_target_that_changed_is_another_run(tmp_path: Path) -> None:
-    harness.run(Tint(), "random", budget=5, out=tmp_path)
-    other = Tint()
-    other.target = TARGET[::-1]
-    with pytest.raises(RunDirectoryError, match="other settings: the target is"):
-        harness.run(other, "random", budget=5, out=tmp_path, resume=True)
-
-
 def test_damaged_directories(tmp_path: Path) -> None:
     harness.run(Tint(), "random", budget=5, out=tmp_path)
     path = tmp_path / "run.ckpt"
@@ -308,35 +279,33 @@ def test_a_renderer_that_fails_loses_nothing(tmp_path: Path) -> None:
     assert same(resumed, harness.run(Tint(), "cma", **settings))
 
 
-def test_an_optimizer_that_cannot_be_saved_hides_no_error(tmp_path: Path) -> None:
+def test_an_optimizer_that_cannot_be_saved_hides_no_error(
+    known: Callable[[type], str], tmp_path: Path
+) -> None:
     class Unsaved(Random):
         def save(self, path: object) -> None:
             raise ArithmeticError("save is broken")
 
     task = Tint()
     task.at_call[2] = lambda: 1 // 0
-    optimizers.register("unsaved", Unsaved)
-    try:
-        with pytest.raises(RenderError, match="tint failed to render") as caught:
-            harness.run(task, "unsaved", budget=200, out=tmp_path, checkpoint_every=1e9)
-    finally:
-        optimizers._REGISTRY._factories.pop("unsaved")
+    known(Unsaved)
+    with pytest.raises(RenderError, match="tint failed to render") as caught:
+        harness.run(task, "unsaved", budget=200, out=tmp_path, checkpoint_every=1e9)
     assert any("save is broken" in note for note in caught.value.__notes__)
 
 
-def test_an_optimizer_that_fails_leaves_its_results(tmp_path: Path) -> None:
+def test_an_optimizer_that_fails_leaves_its_results(
+    known: Callable[[type], str], tmp_path: Path
+) -> None:
     class Breaks(Random):
         def ask_ready(self) -> Any:
             if self.evaluations >= 15:
                 raise ArithmeticError("lost")
             return super().ask_ready()
 
-    optimizers.register("breaks", Breaks)
-    try:
-        with pytest.raises(ArithmeticError, match="lost"):
-            harness.run(Tint(), "breaks", budget=200, seed=0, out=tmp_path)
-    finally:
-        optimizers._REGISTRY._factories.pop("breaks")
+    known(Breaks)
+    with pytest.raises(ArithmeticError, match="lost"):
+        harness.run(Tint(), "breaks", budget=200, seed=0, out=tmp_path)
     n = json.loads((tmp_path / "run.json").read_text())["totals"]["evaluations"]
     assert n >= 15 and len((tmp_path / "curve.csv").read_text().splitlines()) == n + 1
     assert {"best.png", "target.png", "improvements.csv"} <= {p.name for p in tmp_path.iterdir()}
@@ -359,7 +328,9 @@ def test_a_metric_that_fails_hides_no_error(
     assert {"run.ckpt", "best.png"} & {p.name for p in tmp_path.iterdir()} == {"best.png"}
 
 
-def test_an_optimizer_that_fails_leaves_the_last_whole_state(tmp_path: Path) -> None:
+def test_an_optimizer_that_fails_leaves_the_last_whole_state(
+    known: Callable[[type], str], tmp_path: Path
+) -> None:
     class Breaks(Random):
         def tell(self, X: object, images: object = None, losses: object = None) -> None:
             super().tell(X, images, losses)
@@ -367,13 +338,10 @@ def test_an_optimizer_that_fails_leaves_the_last_whole_state(tmp_path: Path) -> 
                 raise ArithmeticError("lost")
 
     fail = True
-    optimizers.register("breaks", Breaks)
-    try:
-        settings: dict[str, Any] = {"optimizer": "breaks", "budget": 40, "options": {"popsize": 5}}
-        with pytest.raises(ArithmeticError, match="lost"):
-            harness.run(Tint(), **settings, out=tmp_path, checkpoint_every=0.0)
-        fail = False
-        resumed = harness.run(Tint(), **settings, out=tmp_path, resume=True)
-        assert same(resumed, harness.run(Tint(), "random", budget=40, options={"popsize": 5}))
-    finally:
-        optimizers._REGISTRY._factories.pop("breaks")
+    known(Breaks)
+    settings: dict[str, Any] = {"optimizer": "breaks", "budget": 40, "options": {"popsize": 5}}
+    with pytest.raises(ArithmeticError, match="lost"):
+        harness.run(Tint(), **settings, out=tmp_path, checkpoint_every=0.0)
+    fail = False
+    resumed = harness.run(Tint(), **settings, out=tmp_path, resume=True)
+    assert same(resumed, harness.run(Tint(), "random", budget=40, options={"popsize": 5}))

@@ -9,13 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fide_lab import run as harness, suite as suites
+from fide_lab import optimizers, run as harness, suite as suites
 from fide_lab.compare.results import Curve
 from fide_lab.run import prepare
+from fide_lab.run.foreign import Foreign
+from fide_lab.run.task import TaskInfo
 from fide_lab.suite import foreign
 from fide_plugins.cli import main
 from fide_plugins.comparison.coverage import is_pair
 from fide_plugins.fide import FIDE
+from fide_plugins.recording.record import Record
 
 SUITE = suites.read("image-fitting-foreign-v1")
 NEEDS = {"robot": "mujoco", "silhouette": "mujoco"}
@@ -94,41 +97,25 @@ def test_fide_compares_by_itself(options: dict[str, Any]) -> None:
     assert errors[-1] == result.judged["error"] == foreign.make("coin", 2).error(result.x_best)
 
 
-class Spy:
-    """Asks one point, and keeps what it is told."""
-
-    def __init__(self, dim: int, target: Any, **settings: Any) -> None:
-        self.dim, self.told = dim, []  # type: ignore[var-annotated]
-
-    def ask(self) -> Any:
-        return np.full((1, self.dim), 0.4)
-
-    def tell(self, X: Any, images: Any, losses: Any) -> None:
-        self.told.append((images, losses))
-
-
 @pytest.mark.parametrize(
     ("problem", "light"),
     [("coin-2", "exposure"), ("board-0", "exposure"), ("arm_occluder-0", None)],
 )
-def test_others_are_told_what_photo_compares(problem: str, light: str | None) -> None:
-    seen: list[Spy] = []
-
-    def make(dim: int, target: Any, **settings: Any) -> Spy:
-        seen.append(Spy(dim, target))
-        return seen[0]
-
-    prepared(make, problem, budget=1).execute()
-    (images, losses), task = seen[0].told[0], foreign.make(*_parts(problem))
+def test_others_are_told_what_photo_compares(
+    problem: str, light: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    task, told = foreign.make(*SUITE.parts(problem)), []
+    X, other = np.full((2, task.dim), 0.4), optimizers.make("random", task.dim, task.target)
+    monkeypatch.setattr(other, "tell", lambda *given: told.append(given))
+    rendered = task.render(X)
+    how = Foreign(TaskInfo.of(task), task.target, "mse", other)
+    plain, losses = how.tell(other, X, rendered, Record())
+    [(_, images, same)] = told
     fide = FIDE(task.dim, task.target, photo=True, photometric=light, seed=0)
-    rendered = task.render(np.full((1, task.dim), 0.4))
-    np.testing.assert_allclose(losses, fide.tell(np.full((1, task.dim), 0.4), rendered))
+    np.testing.assert_allclose(losses, fide.tell(X, rendered))
+    np.testing.assert_array_equal(losses, same)
     np.testing.assert_allclose(images, np.clip(fide.adjust(rendered), 0, 1), atol=1e-6)
-
-
-def _parts(problem: str) -> tuple[str, int]:
-    scene, number = SUITE.parts(problem)
-    return scene, number
+    np.testing.assert_array_equal(plain, images_of(rendered))
 
 
 def test_a_run_goes_on_as_if_it_had_not_stopped(tmp_path: Path) -> None:

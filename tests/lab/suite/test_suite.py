@@ -68,12 +68,6 @@ def test_every_scene_builds_and_its_truth_solves_it(name: str) -> None:
     assert truth <= scene.solved < 0.5 * start
 
 
-def test_targets_differ_and_are_fixed() -> None:
-    first, other, again = (made(SUITE, f"lamps-{k}") for k in (0, 1, 0))
-    assert not np.array_equal(first.target, other.target)
-    np.testing.assert_array_equal(first.target, again.target)
-
-
 @pytest.mark.parametrize("folder", ["plain", "two words", "it's", "{out}", 'a "b" {c'])
 def test_a_program_finds_its_scene_wherever_the_package_lies(
     folder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -97,13 +91,6 @@ def test_later_suites_have_the_same_scenes_and_other_targets(name: str, n: int) 
         assert not set(later.targets) & set(suites.read(other).targets)
     ours, theirs = (made(suite, "lamps-0").target for suite in (SUITE, later))
     assert not np.array_equal(ours, theirs)
-
-
-def test_a_problem_has_the_name_of_its_scene_and_the_number_of_its_target() -> None:
-    assert SUITE.problem_of("stick_figure", 3) == "stick_figure-3"
-    assert SUITE.parts("stick_figure-3") == ("stick_figure", 3)
-    scene, seed = SUITE.problem("stick_figure-3")
-    assert scene.name == "stick_figure" and seed == SUITE.targets[3]
 
 
 @pytest.mark.parametrize("name", ["lamps-10", "lamp-0", "lamps", "lamps-00", "lamps--1"])
@@ -142,7 +129,7 @@ def test_a_part_from_the_command_line(
         ["lamps-0", "1000", name] for name in ("cma", "random", "eki:popsize=20")
     ]
     text = (out / "report.html").read_text()
-    assert text.count("<svg role=") == 2 and "1 of 110 problems" in text
+    assert text.count("<img ") == 1 and "1 of 110 problems" in text
     assert "3 optimizers, 1 problem of 1 scene, read at 40 renders" in text
     assert "eki:popsize=20" in text and "| eki:popsize=20 |" in (out / "report.md").read_text()
     assert (out / "figures" / "data-profile.png").is_file()
@@ -174,16 +161,6 @@ class Breaks:
 """
 
 
-def test_a_terminal_shows_names_without_escapes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = ["compare", "--suite", "image-fitting-v1", "--scenes", "stick_figure", "--budget", 40]
-    assert fide(*words, "--targets", 1, "--optimizers", "random", "--out", tmp_path / "out") == 0
-    printed = capsys.readouterr().out
-    assert "| stick_figure |" in printed and "\\" not in printed
-    assert "| stick\\_figure |" in (tmp_path / "out" / "report.md").read_text()
-
-
 def test_failed_runs_are_unsolved_and_open_ones_left_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -197,7 +174,8 @@ def test_failed_runs_are_unsolved_and_open_ones_left_out(
     assert "2 of 6 runs failed; error.txt in their directories has the tracebacks" in printed.err
     broken = [f"lamps-{k}" for k in range(3) if corners[k] < max(corners)]
     sentence = (
-        f"Failed runs count as unsolved, 2 problems: mine.py:Breaks failed on {', '.join(broken)}."
+        "Failed runs count as unsolved, 2 problems: mine.py:Breaks (failed) on "
+        f"{', '.join(broken)}."
     )
     assert "3 of 110 problems" in printed.out and sentence in printed.out
     for name in ("report.html", "report.md"):
@@ -210,7 +188,7 @@ def test_failed_runs_are_unsolved_and_open_ones_left_out(
     assert fide("report", "out") == 0
     printed = capsys.readouterr()
     assert "2 of 110 problems" in printed.out
-    assert "Left out, 1 problem: random is missing on lamps-1." in printed.out
+    assert "Left out, 1 problem: random (missing) on lamps-1." in printed.out
 
 
 @pytest.mark.thorough
@@ -229,7 +207,7 @@ def test_what_was_never_run_is_named_and_optimizers_may_be_chosen(
     printed = capsys.readouterr()
     assert "image-fitting-v1: 1 run of 40 renders (--scenes" in printed.err
     said = (
-        "Left out, 3 problems: eki:popsize=20 was not run on sprites-0, lamps-1, sprites-1.",
+        "Left out, 3 problems: eki:popsize=20 (not planned) on sprites-0, lamps-1, sprites-1.",
         "fide compare --resume adds runs, fide report --optimizers A,B shows only these",
     )
     text = Path("out/report.md").read_text()
@@ -246,15 +224,13 @@ def test_what_was_never_run_is_named_and_optimizers_may_be_chosen(
     assert fide("report", "out", "--optimizers", "cma:popsize=") == 2
 
 
-def test_optimizers_without_the_same_problems_are_named_together() -> None:
-    problems = [f"arm-{k}" for k in range(7)]
-    left_out = [(label, p, "not planned") for label in ("a", "b") for p in problems]
-    left_out += [("a", "lens-0", "missing"), ("b", "lens-0", "missing"), ("c", "lens-0", "missing")]
+def test_the_first_few_problems_that_are_left_out_are_named() -> None:
+    left_out = [("a", f"arm-{k}", "not planned") for k in range(7)] + [("a", "lens-0", "missing")]
     t = np.full((1, 1), np.inf)
     found = Scores(SUITE, ("a",), ("arm-9",), (500,), t, t[None], left_out=tuple(left_out))
     assert remarks(found)[0] == (
-        "Left out, 8 problems: a, b were not run on arm-0, arm-1, arm-2, arm-3, arm-4 and 2 more; "
-        "a, b, c are missing on lens-0."
+        "Left out, 8 problems: a (not planned) on arm-0, arm-1, arm-2, arm-3, arm-4 and 2 more; "
+        "a (missing) on lens-0."
     )
 
 

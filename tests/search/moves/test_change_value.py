@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from copy import deepcopy
 from dataclasses import replace
 from typing import Any
 
@@ -10,13 +9,12 @@ import numpy as np
 import pytest
 import torch
 
-from fide_plugins import FIDE, Choice, Float, Int, Space
+from fide_plugins import Choice, Float, Int, Space
 from fide_plugins.options import Options
 from fide_plugins.population.candidate import TrainingSample
 from fide_plugins.search.exchangeability import Exchangeability
-from fide_plugins.search.moves import ChangeValue, Known, Stage
+from fide_plugins.search.moves import ChangeValue, Known
 from fide_plugins.search.one_search import Search, Setting
-from fide_plugins.search.policy import MovePolicy
 from fide_plugins.search.scene import Axes, Removal, Sensitivity, Values
 from fide_plugins.types import Float64
 
@@ -71,18 +69,6 @@ def test_each_parameter_gets_its_other_values_once(known: Known) -> None:
     assert {39, 41} <= by["many"] and min(by["many"]) < 20 and max(by["many"]) > 100
 
 
-def test_a_point_at_the_end_of_its_range_has_others_on_one_side(known: Known) -> None:
-    x = SPACE.snap(SPACE.encode({**SPACE.decode(HERE), "n": 8}))
-    others = SPACE.decode_many(known.values.others(x))
-    assert {one["n"] for one in others} == {3, 4, 5, 6, 7, 8}
-
-
-def test_numbers_have_no_other_values(known: Known) -> None:
-    assert ChangeValue().possible(known)
-    known.values = Values()
-    assert not ChangeValue().possible(known)
-
-
 def test_each_value_is_searched_before_one_is_searched_again(known: Known) -> None:
     move, rng = ChangeValue(), np.random.default_rng(0)
     total = len(known.values.others(HERE))
@@ -95,18 +81,6 @@ def test_each_value_is_searched_before_one_is_searched_again(known: Known) -> No
         move.note_begun(known, x)
     assert len(set(seen)) == total
     assert len(move.draw(known, 1000, rng)) == total, "all again"
-
-
-def test_what_was_searched_is_saved_and_forgotten(known: Known) -> None:
-    others = known.values.others(HERE)
-    known.values.note(others[2])
-    other = Values(AXES, SPACE.layout)
-    other.load_state_dict(known.values.state_dict())
-    assert np.flatnonzero(other.searches(others)).tolist() == [2]
-    other.forget()
-    assert not other.searches(others).any()
-    with pytest.raises(ValueError, match="searched"):
-        other.load_state_dict({"searched": np.zeros((1, 2))})
 
 
 def test_the_search_holds_the_value_and_nothing_else(known: Known) -> None:
@@ -125,17 +99,6 @@ def test_the_search_holds_the_value_and_nothing_else(known: Known) -> None:
     assert len({one["floor"] for one in SPACE.decode_many(free)}) == 3, "a user's own point"
 
 
-def test_only_spaces_with_values_have_the_move() -> None:
-    about = np.full(3, 0.5), np.full(3, 1 / 6), 8, torch.zeros(1, 3), 3, 0
-    numbers = Space(a=Float(0, 1), b=Float(0, 1), c=Float(0, 1))
-    assert "change value" not in MovePolicy(*about).state_dict()
-    policy = MovePolicy(*about, layout=numbers.layout)
-    assert len(policy.state_dict()["choice"]) == 10
-    values = Space(a=Float(0, 1), b=Int(0, 5), c=Float(0, 1))
-    policy = MovePolicy(*about, layout=values.layout)
-    assert len(policy.state_dict()["choice"]) == 11
-
-
 def picture(params: dict[str, Any]) -> Float64:
     """Stripes at x, or a plain floor, below a row as bright as y; (8, 8)."""
     image = np.full((8, 8), 0.5)
@@ -143,23 +106,3 @@ def picture(params: dict[str, Any]) -> Float64:
         image[:] = 0.5 + 0.5 * np.sin(40 * (np.arange(8) / 8 + params["x"]))
     image[0] = params["y"]
     return image
-
-
-def test_a_run_holds_values_also_after_it_was_saved() -> None:
-    space = Space(x=Float(0, 1), y=Float(0, 1), floor=Choice("plain", "stripes"))
-    target = picture({"x": 0.83, "y": 0.3, "floor": "stripes"})
-    opt = FIDE(space, target, seed=0)
-    held = 0
-    while opt.evaluations < 2000 and held < 30:
-        moves, other = opt.state.moves, FIDE(space, target, seed=0)
-        holds = moves.stage is Stage.SEARCH and moves.move == ChangeValue.name
-        if holds:
-            other.load_state_dict(deepcopy(opt.state_dict()))
-        X = opt.ask()
-        if holds:
-            kept = space.decode(moves.start.mean)["floor"]
-            assert {one["floor"] for one in space.decode_many(X)} == {kept}
-            np.testing.assert_array_equal(other.ask(), X)
-            held += len(X)
-        opt.tell(X, [picture(one) for one in space.decode_many(X)])
-    assert held >= 30

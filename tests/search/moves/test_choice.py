@@ -31,26 +31,6 @@ def test_what_brings_most_for_its_evaluations_is_drawn_most_and_nothing_starves(
     assert min(shares.values()) > 0.06
 
 
-def test_only_possible_moves_are_drawn() -> None:
-    rng, choice = np.random.default_rng(0), Choice(PRIORS, 100)
-    assert {choice.draw(["b"], rng) for _ in range(20)} == {"b"}
-
-
-def test_state_goes_on_and_impossible_ones_are_refused() -> None:
-    original = Choice(PRIORS, 100)
-    original.note("b", 3.0, 50)
-    copy = Choice(PRIORS, 7)
-    copy.load_state_dict(original.state_dict())
-    names = list(PRIORS)
-    np.testing.assert_array_equal(copy.probabilities(names), original.probabilities(names))
-    state = original.state_dict()
-    for wrong in ({"b": [0.0, 1.0]}, {"b": [1.0]}, {"b": [np.nan, 1.0]}, {"d": [1.0, 1.0]}):
-        with pytest.raises(ValueError, match="choice"):
-            copy.load_state_dict({**state, **wrong})
-    with pytest.raises(ValueError, match="choice is no dict"):
-        copy.load_state_dict([])  # type: ignore[arg-type]
-
-
 def test_ten_thousand_vain_tries_leave_a_choice() -> None:
     choice = Choice(PRIORS, 100)
     for name in PRIORS:
@@ -60,15 +40,3 @@ def test_ten_thousand_vain_tries_leave_a_choice() -> None:
     np.testing.assert_allclose(choice.probabilities(list(PRIORS)), 1 / 3)
     choice.note("b", 0.1, 100)
     assert choice.probabilities(list(PRIORS))[1] > 0.79
-
-
-def test_a_move_that_is_added_anywhere_takes_no_other_ones_gain() -> None:
-    earlier = Choice({"a": 0.5, "c": 0.1}, 100)
-    earlier.note("a", 0.7, 30)
-    earlier.note("c", 0.9, 40)
-    now, expected = Choice(PRIORS, 100), Choice(PRIORS, 100)
-    now.note("b", 1.0, 1)  # which the state does not know
-    now.load_state_dict(earlier.state_dict())
-    expected.note("a", 0.7, 30)
-    expected.note("c", 0.9, 40)
-    assert now.state_dict() == expected.state_dict()

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
-import torch
 
 from fide_plugins.population.candidate import TrainingSample
 from fide_plugins.search.exchangeability import Exchangeability
 from fide_plugins.search.moves import (
-    Crossover,
     HalfTurn,
     Known,
     RandomRestart,
-    Refine,
     RelocateGroup,
     RelocateSegment,
     Split,
     Stage,
-    Swap,
     segment,
 )
 from fide_plugins.search.scene import Axes, Removal, Sensitivity
@@ -84,14 +79,6 @@ def test_removal_says_what_each_block_is_worth(rng: np.random.Generator) -> None
     assert int(np.argmax(residual)) == 1, "the one in the middle stands for two"
 
 
-def test_renders_that_were_not_asked_for_do_no_harm_to_removal(rng: np.random.Generator) -> None:
-    known = scene(STALLED, STAR)
-    strangers = [rendered(known, rng.random(8), STAR), known.current]
-    known.removal.learn(known.current, strangers, BLOCKS, 3)
-    assert known.removal.known and not known.removal.costs.any()
-    Split().draw(known, 5, rng)
-
-
 def test_split_puts_the_redundant_block_beside_the_overloaded_one(
     rng: np.random.Generator,
 ) -> None:
@@ -112,37 +99,6 @@ def test_split_puts_the_redundant_block_beside_the_overloaded_one(
     wide = np.isin(start.std, 1 / 12)
     np.testing.assert_array_equal(wide, x[0] != STALLED)
     np.testing.assert_allclose(start.std[~wide], 1 / 48)
-
-
-def test_split_needs_removal_costs_of_the_incumbent(rng: np.random.Generator) -> None:
-    known = scene(STALLED, STAR)
-    assert Split().possible(known) and Split().needs(known) is Stage.REMOVAL
-    removed(known, STAR, rng)
-    assert Split().needs(known) is None
-    known.removal.forget()
-    assert Split().needs(known) is Stage.REMOVAL
-    assert not Split().possible(scene(STALLED, STAR, exchangeable=False))
-
-
-def test_two_blocks_split_each_other(rng: np.random.Generator) -> None:
-    known = scene(STALLED, STAR)
-    known.exchangeability = Exchangeability(8, 3, [[0, 1], [2, 3]])
-    pair = known.exchangeability.blocks
-    assert pair is not None
-    known.removal.learn(known.current, [], pair, 3)
-    x = Split().draw(known, 50, rng)
-    np.testing.assert_array_equal(x[:, 4:], np.tile(STALLED[4:], (50, 1)))
-
-
-def test_swap_exchanges_values_and_only_where_order_shows(rng: np.random.Generator) -> None:
-    known = scene(STALLED, STAR)
-    x = Swap().draw(known, 300, rng)
-    np.testing.assert_array_equal(np.sort(x, axis=1), np.tile(np.sort(STALLED), (300, 1)))
-    assert len(np.unique(x, axis=0)) == 6  # pairs of four
-    assert Swap().possible(known)
-    known.exchangeability.ordered = False
-    assert not Swap().possible(known)
-    np.testing.assert_allclose(Swap().begin_at(known, x[0]).std, 1 / 48)
 
 
 def test_groups_are_blocks_and_leftovers(rng: np.random.Generator) -> None:
@@ -181,18 +137,6 @@ def test_segments_are_neighbors_of_any_length(rng: np.random.Generator) -> None:
     x = RelocateSegment().draw(known, 50, rng)
     assert ((x != STALLED).any(axis=1)).all()
     assert not RelocateSegment().possible(scene(STALLED, STAR))
-
-
-def test_children_have_parameters_of_two_optima(rng: np.random.Generator) -> None:
-    known = scene(STALLED, STAR, exchangeable=False)
-    assert not Crossover().possible(known)
-    other = rendered(known, (STALLED + 0.33) % 1, STAR)
-    known.optima.note(other, known.exchangeability.distance)
-    assert Crossover().possible(known)
-    x = Crossover().draw(known, 500, rng)
-    assert ((x == STALLED) | (x == other.x)).all()
-    share = (x == other.x).mean(axis=1)
-    assert share.min() > 0 and share.max() < 1, "each has some of both"
 
 
 def test_neighbors_are_turned_and_mirrored_by_turns(rng: np.random.Generator) -> None:
@@ -236,21 +180,6 @@ def turn_x(angle: float) -> Float64:
     return np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
 
 
-def test_refine_goes_on_once_where_others_failed(rng: np.random.Generator) -> None:
-    known = scene(STALLED, STAR)
-    assert not Refine().possible(known)
-    known.optima.fail(known.current)
-    assert Refine().possible(known)
-    x = Refine().draw(known, 1000, rng)
-    inside = (x > 0) & (x < 1)
-    assert abs(float((x - STALLED)[:, 1].std()) - 1 / 180) < 5e-4 and inside.any()
-    start = Refine().begin_at(known, x[0])
-    np.testing.assert_array_equal(start.mean, STALLED)
-    assert start.patience > 1 and start.to_the_end and Refine().possible(known)
-    Refine().note_begun(known, x[0])
-    assert not Refine().possible(known)
-
-
 def test_new_searches_begin_in_different_places(rng: np.random.Generator) -> None:
     known = scene(STALLED, STAR)
     x = RandomRestart().draw(known, 20_000, rng)
@@ -270,36 +199,3 @@ def test_new_descents_stay_where_the_user_said(rng: np.random.Generator) -> None
     known.sigma0 = np.full(8, 0.02)
     x = RandomRestart().draw(known, 1000, rng)
     assert x.min() >= 0.44 and x.max() <= 0.56
-
-
-@pytest.mark.parametrize("dim", [1, 2, 3])
-def test_few_parameters_are_enough(dim: int, rng: np.random.Generator) -> None:
-    tokens = torch.ones((4, 3))
-    known = Known(
-        x0=np.full(dim, 0.5),
-        sigma0=np.full(dim, 0.1),
-        target=tokens,
-        channels=3,
-        exchangeability=Exchangeability(dim, 3, []),
-        removal=Removal(),
-        sensitivity=Sensitivity(dim, 3),
-        axes=Axes(dim),
-    )
-    known.incumbent = TrainingSample(0, np.full(dim, 0.3), tokens, 1.0, 0)
-    known.optima.note(known.incumbent, known.exchangeability.distance)
-    known.optima.note(
-        TrainingSample(1, np.full(dim, 0.7), tokens, 2.0, 1), known.exchangeability.distance
-    )
-    possible = {
-        RelocateSegment(): dim > 1,  # a segment is not all there is
-        Crossover(): True,
-        HalfTurn(): True,
-        RandomRestart(): True,
-        Refine(): False,  # nothing was left in vain
-    }
-    for move, expected in possible.items():
-        assert move.possible(known) == expected
-        if expected:
-            x = move.draw(known, 9, rng)
-            assert x.shape == (9, dim) and x.min() >= 0 and x.max() <= 1
-            assert move.begin_at(known, x[0]).mean.shape == (dim,)

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from fide_plugins import Choice, Float, Space
 from fide_plugins.search.exchangeability import Exchangeability
 from fide_plugins.search.hypotheses import Hypotheses, Resample
-from fide_plugins.search.moves import Known
-from fide_plugins.search.policy import MovePolicy, Stage
+from fide_plugins.search.moves import Known, Stage
+from fide_plugins.search.policy import MovePolicy
 from fide_plugins.search.scene import Axes, Removal, Sensitivity
 from fide_plugins.types import Float64, Posterior
 
@@ -64,16 +63,6 @@ def test_candidates_keep_what_is_known_and_have_values_of_hypotheses(n: int) -> 
     assert all((there[:, OPEN] == row[OPEN]).all(axis=1).any() for row in together)
 
 
-def test_single_changes_are_spread_over_what_hypotheses_have() -> None:
-    known = scene()
-    x = Resample(Hypotheses(Posterior(hypotheses()), 4)).draw(known, 40, np.random.default_rng(2))[
-        ::2
-    ]
-    other, any_ = (x[x[:, axis] != HERE[axis], axis] for axis in OPEN)
-    np.testing.assert_array_equal(other, np.full(10, 0.74))  # the value that is not here
-    assert np.diff(np.sort(any_)).max() < 0.35  # two strata of ten, and the gap around what is here
-
-
 def test_there_is_nothing_to_draw_where_hypotheses_agree_or_there_are_none() -> None:
     there = hypotheses()
     there[:, OPEN] = HERE[OPEN]
@@ -83,26 +72,6 @@ def test_there_is_nothing_to_draw_where_hypotheses_agree_or_there_are_none() -> 
     assert not Resample(Hypotheses(Posterior(hypotheses()), 4)).possible(
         scene(groups=[[0, 1], [2, 3]])
     )
-
-
-def test_a_circle_has_no_ends_and_the_axes_of_a_choice_belong_together() -> None:
-    space = Space(angle=Float(0, 360, periodic=True), kind=Choice("a", "b", "c"))
-    axes = Axes(space.dim, space.layout)
-    rng = np.random.default_rng(0)
-    there = np.column_stack(
-        [np.mod(0.01 * rng.standard_normal(400), 1), np.eye(3)[rng.integers(3, size=400)]]
-    )
-    known = scene(np.array([0.999, 1.0, 0.0, 0.0]), axes)
-    x = Resample(Hypotheses(Posterior(there), space.dim)).draw(known, 30, rng)
-    np.testing.assert_array_equal(x[:, 0], np.full(30, 0.999))
-    assert (np.isin(x[:, 1:], [0, 1])).all() and (x[:, 1:].sum(axis=1) == 1).all()
-
-
-def test_a_search_begins_wide_in_what_was_drawn() -> None:
-    known = scene()
-    move = Resample(Hypotheses(Posterior(hypotheses()), 4))
-    start = move.begin_at(known, np.array([0.3, 0.7, 0.74, 0.5]))
-    assert start.std[2] > 3 * start.std[[0, 1, 3]].max()
 
 
 def policy() -> MovePolicy:
@@ -140,34 +109,6 @@ def test_a_search_by_losses_alone_goes_on_with_the_next_hypothesis() -> None:
     moves.learn([sample(np.full(16, 0.1), row, 1.0 + i) for i, row in enumerate(x)], x[0])
     assert moves.after_search(None, 100, guided=False) is Stage.SEARCH
     assert moves.move == "learned" and not moves.guided
-
-
-def test_what_followed_a_hypothesis_can_be_told_to_others() -> None:
-    """Who is told whether images guided, and has the same hypotheses, goes on as the first one."""
-    for guided in (True, False):
-        one, other = policy(), policy()
-        for moves in (one, other):
-            x = moves.draw(np.random.default_rng(0))
-            moves.learn([sample(np.full(16, 0.1), row, 1.0 + i) for i, row in enumerate(x)], x[0])
-        found = sample(np.full(16, 0.1), HERE, 0.5)
-        one.after_search(found, 100, guided=guided)
-        other.after_search(found, 100, guided=one.guided)
-        assert (one.stage, one.move, one.guided) == (other.stage, other.move, guided)
-
-
-def test_after_a_search_without_images_a_worse_one_is_followed_by_tests_of_the_best() -> None:
-    """The scene was not tested before: hypotheses came first, and images did not guide them."""
-    moves, rng = policy(), np.random.default_rng(0)
-    x = moves.draw(rng)
-    moves.learn([sample(np.full(16, 0.1), row, 1.0 + i) for i, row in enumerate(x)], x[0])
-    best = sample(np.full(16, 0.1), HERE, 0.5)
-    while moves.move == "learned":
-        moves.after_search(best, 100, guided=False)
-    assert moves.known.incumbent is None and not moves.known.exchangeability.finished
-    worse = sample(np.full(16, 0.1), 1 - HERE, 0.9)
-    assert moves.after_search(worse, 100, guided=True) is Stage.EXCHANGE
-    np.testing.assert_array_equal(moves.draw(rng)[0], HERE)
-    policy().load_state_dict(moves.state_dict())
 
 
 def test_what_is_in_the_right_place_is_refined_before_anything_else_is_tried() -> None:

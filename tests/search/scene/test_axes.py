@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
@@ -12,13 +10,8 @@ from fide_plugins import Choice, Float, Int, Space
 from fide_plugins.population.candidate import TrainingSample
 from fide_plugins.search.exchangeability import Exchangeability
 from fide_plugins.search.moves import (
-    Crossover,
     HalfTurn,
     Known,
-    RandomRestart,
-    Refine,
-    RelocateGroup,
-    RelocateSegment,
 )
 from fide_plugins.search.scene import Axes, Removal, Sensitivity, Values
 from fide_plugins.types import Float64
@@ -79,62 +72,13 @@ def test_a_sensitivity_sample_moves_one_parameter(known: Known, rng: np.random.G
     ]
 
 
-def test_choices_are_relocated_and_crossed_over_whole(
-    known: Known, rng: np.random.Generator
-) -> None:
-    known.sensitivity.learn(known.current, [rendered(x) for x in known.sensitivity.draw(HERE, rng)])
-    for move in (RelocateSegment(), RelocateGroup()):
-        for row in move.draw(known, 200, rng):
-            for block in (FLOOR, LAMP):
-                assert (row[block] != HERE[block]).all() or (row[block] == HERE[block]).all()
-    for row in Crossover().draw(known, 200, rng):
-        for block in (FLOOR, LAMP):
-            assert any((row[block] == one[block]).all() for one in (HERE, THERE))
-
-
-def test_a_search_is_wide_in_all_axes_of_a_choice_that_was_moved(known: Known) -> None:
-    x = HERE.copy()
-    x[FLOOR] = THERE[FLOOR]  # differs in two of four axes
-    std = known.start_at(x).std
-    assert len(set(std[FLOOR])) == 1 and std[FLOOR[0]] > std[0] == std[LAMP[0]]
-
-
 def test_periodic_parameters_are_near_across_the_end(known: Known) -> None:
     across = HERE.copy()
     across[1] = THERE[1]
     assert known.exchangeability.distance(HERE, across) == pytest.approx(7 / 360)
     near = rendered(across, 0.5)
     assert known.optima.note(near, known.exchangeability.distance)
-    assert len(known.optima) == 2, "the same optimum"
-
-
-def test_moves_go_around(known: Known, rng: np.random.Generator) -> None:
-    known.sigma0[:] = 0.3
-    x = Refine().draw(known, 400, rng)
-    assert ((x >= 0) & (x <= 1)).all()
-    assert (x[:, 1] > 0.9).any() and not (x[:, 1] == 0).any(), "none is held at the wall"
-    low = np.full(DIM, 0.05)
-    several = RandomRestart().draw(replace(known, x0=low, sigma0=np.full(DIM, 0.1)), 4000, rng)
-    assert (several[:, 1] > 0.76).any() and several[:, 0].max() <= 0.35
-    wide = RandomRestart().draw(known, 8000, rng)
-    counts = np.histogram(wide[:, 1], bins=8, range=(0, 1))[0]
-    np.testing.assert_allclose(counts, 1000, atol=5 * np.sqrt(1000))
-
-
-def test_no_layout_cuts_a_choice() -> None:
-    axes = Axes(DIM, SPACE.layout)
-    assert axes.whole(np.array([FLOOR])) and not axes.whole(np.array([[2, 3], [4, 5]]))
-    tests = Exchangeability(DIM, 3, None, axes)
-    for layout in tests._layouts():
-        assert axes.whole(layout)
-
-
-def test_without_choices_and_periodic_parameters_nothing_changes(rng: np.random.Generator) -> None:
-    axes, x, y = Axes(6), rng.normal(size=(5, 6)), rng.normal(size=6)
-    np.testing.assert_array_equal(axes.difference(x, y), np.abs(x - y))
-    np.testing.assert_array_equal(axes.inside(x), np.clip(x, 0, 1))
-    chosen = np.array([1, 4])
-    assert axes.together(chosen) is chosen and len(axes.axes_of) == 6
+    assert len(known.optima.all) == 2, "the same optimum"
 
 
 def test_half_a_turn_of_a_periodic_parameter_is_exact(

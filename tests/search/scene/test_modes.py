@@ -8,12 +8,7 @@ import torch
 
 from fide_plugins.fide import FIDE
 from fide_plugins.search.exchangeability import Exchangeability
-from fide_plugins.search.hypotheses import (
-    elsewhere,
-    nearest_shares,
-    probabilities,
-    relative_likelihoods,
-)
+from fide_plugins.search.hypotheses import _nearest_shares, probabilities
 from fide_plugins.search.policy import MovePolicy
 from fide_plugins.search.scene import Axes
 from fide_plugins.space import Float, Space
@@ -67,14 +62,11 @@ def test_a_little_worse_counts_less() -> None:
 
 
 def test_losses_may_be_shifted_scaled_and_noisy() -> None:
-    losses = np.array([0.3, 0.3004, 0.9])
-    one = relative_likelihoods(list(losses), 0.5, None)
-    np.testing.assert_allclose(relative_likelihoods(list(7 * losses - 9), -5.5, None), one)
-    np.testing.assert_allclose(
-        relative_likelihoods(list(losses), None, 0.6), np.exp(-(losses - 0.3) / 0.6)
-    )
-    np.testing.assert_array_equal(relative_likelihoods(list(losses), None, None), [1, 0, 0])
-    np.testing.assert_array_equal(relative_likelihoods([1.0, 1.0], 0.5, None), [1, 1])
+    losses, X = np.array([0.3, 0.3004, 0.9]), np.stack([A, A, A])
+    hypotheses = posterior(300, 100)
+    one = of(losses.tolist(), X, hypotheses, 0.5)
+    np.testing.assert_allclose(of((7 * losses - 9).tolist(), X, hypotheses, -5.5), one)
+    np.testing.assert_array_equal(of(losses.tolist(), X, hypotheses, None), [1, 0, 0])
 
 
 def test_what_the_picture_does_not_show_decides_nothing() -> None:
@@ -82,7 +74,7 @@ def test_what_the_picture_does_not_show_decides_nothing() -> None:
     hypotheses = rng.random((300, 2))
     hypotheses[:, 0] = 0.3 + 0.4 * (np.arange(300) < 100) + 0.02 * rng.standard_normal(300)
     X = np.array([[0.3, 0.05], [0.7, 0.95]])
-    shares = nearest_shares(X, hypotheses, Exchangeability(2, None, []), Axes(2))
+    shares = _nearest_shares(X, hypotheses, Exchangeability(2, None, []), Axes(2))
     np.testing.assert_allclose(shares, [2 / 3, 1 / 3], atol=0.02)
 
 
@@ -92,34 +84,17 @@ def test_orders_of_blocks_are_one_answer() -> None:
     other = np.array([0.1, 0.1, 0.9, 0.9])
     hypotheses = np.concatenate([posterior(90, 90), around(other, 60, 4)])
     tools = Exchangeability(4, None, blocks), Axes(4)
-    shares = nearest_shares(np.stack([B, other]), hypotheses, *tools)
+    shares = _nearest_shares(np.stack([B, other]), hypotheses, *tools)
     np.testing.assert_allclose(shares, [0.75, 0.25])
 
 
 def test_a_circle_has_no_ends() -> None:
     layout = Space(turn=Float(0, 1, periodic=True)).layout
     hypotheses = np.array([[0.98], [0.02], [0.97], [0.5]])
-    shares = nearest_shares(
+    shares = _nearest_shares(
         np.array([[0.01], [0.6]]), hypotheses, Exchangeability(1, None, []), Axes(1, layout)
     )
     np.testing.assert_allclose(shares, [0.75, 0.25])
-
-
-@pytest.mark.parametrize("first", [490, 250, 150])
-def test_hypotheses_near_no_answer_are_told(first: int) -> None:
-    """In probabilities the only answer that was found has 1."""
-    tools, hypotheses = (Exchangeability(4, None, []), Axes(4)), posterior(first, 500 - first)
-    assert elsewhere(A[None], hypotheses, *tools) == pytest.approx(1 - first / 500, abs=0.01)
-    assert elsewhere(np.stack([A, B]), hypotheses, *tools) < 0.01
-    both = Exchangeability(4, None, [[0, 1], [2, 3]]), Axes(4)
-    assert elsewhere(A[None], hypotheses, *both) < 0.01  # one answer, in either order
-
-
-def test_what_the_picture_does_not_show_is_near_every_answer() -> None:
-    rng = np.random.default_rng(0)
-    hypotheses = np.stack([0.3 + 0.02 * rng.standard_normal(500), rng.random(500)], axis=1)
-    answer = np.array([[0.33, 0.02]])
-    assert elsewhere(answer, hypotheses, Exchangeability(2, None, []), Axes(2)) == 0
 
 
 def searched(opt: FIDE, renders: int) -> FIDE:
@@ -138,8 +113,6 @@ def test_both_answers_of_two_cells_are_as_probable(monkeypatch: pytest.MonkeyPat
     assert {bool(one.x[0] < 0.5) for one in likely} == {True, False} and len(likely) == 2
     assert [one.probability for one in likely] == pytest.approx([0.5, 0.5], abs=0.1)
     assert sum(one.probability or 0.0 for one in found) == pytest.approx(1.0)
-    assert opt.elsewhere(found) == pytest.approx(0.0, abs=0.02)
-    assert opt.elsewhere(likely[:1]) == pytest.approx(0.5, abs=0.02)
 
     other = FIDE(4, two_cells(A), seed=0, groups=[])
     other.load_state_dict(opt.state_dict())  # which has all that is needed
@@ -166,9 +139,3 @@ def test_probabilities_are_shares_of_draws_not_of_refined_points() -> None:
     policy.learn(samples, A)
     probable = policy.probabilities([1e-9, 1e-8], np.stack([A, B]))
     assert probable == pytest.approx([0.75, 0.25], abs=0.01)
-
-
-def test_without_a_model_nothing_is_said() -> None:
-    found = searched(FIDE(4, two_cells(A), seed=0), 100).solutions()
-    assert found and all(one.probability is None for one in found)
-    assert FIDE(4, two_cells(A), seed=0).elsewhere(found) is None

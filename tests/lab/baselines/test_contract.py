@@ -1,8 +1,10 @@
-"""The ask/tell protocol, for every baseline."""
+"""What every baseline keeps: ask and tell, bounds, seeds, budgets, saving, errors."""
 
 from __future__ import annotations
 
+import os
 import random
+import signal
 import threading
 from pathlib import Path
 from typing import Any
@@ -11,13 +13,24 @@ import numpy as np
 import pytest
 import torch
 
-from fide_lab import baselines, optimizers
+from fide_lab import baselines, optimizers, run as harness
 from fide_lab.baselines.evolution import Random
-from fide_plugins.errors import ImageError, LossError, OptionError, PointsError, UnknownNameError
+from fide_plugins.encoders.patch import RawPatchEncoder
+from fide_plugins.errors import (
+    CheckpointError,
+    DeviceError,
+    ImageError,
+    LossError,
+    OptionError,
+    PointsError,
+    UnknownNameError,
+)
+from fide_plugins.runtime import checkpoint
 from fide_plugins.space import Float, Int, Space
 from fide_plugins.types import Float64
 
-from .conftest import sphere
+from .conftest import render, sphere, target as picture
+from .small import OPTIONS
 
 Subject = Any  # of conftest.py
 
@@ -50,15 +63,6 @@ def test_candidates_lie_in_the_box_and_the_best_is_kept(subject: Subject, dim: i
     assert opt.best.loss == losses.min()
     np.testing.assert_array_equal(opt.best.x, X[losses.argmin()])
     assert opt.recommend().min() >= 0.0 and opt.recommend().max() <= 1.0
-
-
-def test_who_reads_the_best_may_write_to_it(subject: Subject) -> None:
-    opt = subject.make(2)
-    subject.tell(opt, opt.ask(1))
-    assert opt.best is not None
-    before, x = opt.best.x.copy(), opt.best.x
-    x *= 60
-    np.testing.assert_array_equal(opt.best.x, before)
 
 
 def test_pieces_and_order_do_not_matter(subject: Subject) -> None:
@@ -114,6 +118,33 @@ def test_seeds(subject: Subject) -> None:
         np.concatenate(subject.minimize(subject.make(3, seed=several[2].seed), 25)).tobytes()
         == runs[2]
     )
+
+
+class Bright:
+    """A task of the pictures of `conftest`, which Ctrl-C can stop at a render."""
+
+    dim, target = 3, picture()
+
+    def __init__(self, stop_at: int = -1) -> None:
+        self.renders, self.stop_at = 0, stop_at
+
+    def render(self, X: Float64, seed: Any = None) -> Any:
+        self.renders += len(X)
+        if 0 < self.stop_at <= self.renders:
+            self.stop_at = -1
+            os.kill(os.getpid(), signal.SIGINT)
+        return render(X)
+
+
+def test_a_run_has_its_budget_also_if_it_was_interrupted(subject: Subject, tmp_path: Path) -> None:
+    options = {k: v for k, v in OPTIONS.get(subject.name, {}).items() if k != "budget"}
+    settings: dict[str, Any] = {"budget": 45, "seed": 3, "options": options}
+    whole = harness.run(Bright(), subject.name, **settings)
+    assert whole.evaluations == 45
+    with pytest.raises(harness.Interrupted):
+        harness.run(Bright(stop_at=23), subject.name, **settings, out=tmp_path / "run")
+    resumed = harness.run(Bright(), subject.name, **settings, out=tmp_path / "run", resume=True)
+    np.testing.assert_array_equal(resumed.losses, whole.losses)
 
 
 def test_injected_points_are_counted_and_can_be_best_but_do_not_move_the_search(
@@ -177,14 +208,6 @@ def test_candidates_told_in_single_precision(subject: Subject, workers: int) -> 
     np.testing.assert_array_equal(exact.ask(), single.ask())
 
 
-def test_cma_converges_where_candidates_pass_through_single_precision() -> None:
-    opt = optimizers.make("cma", 10, seed=0)
-    while opt.evaluations < 1500:
-        X = opt.ask().astype(np.float32)
-        opt.tell(X, losses=sphere(X.astype(np.float64)))
-    assert opt.best is not None and opt.best.loss < 1e-4
-
-
 def test_bad_input_is_refused_before_anything_changes(subject: Subject) -> None:
     opt = subject.make(2, seed=0)
     X = opt.ask()
@@ -240,8 +263,7 @@ def test_options_out_of_range_are_named(subject: Subject, options: dict[str, Any
 
 @pytest.mark.filterwarnings("ignore:popsize=12 has no effect")
 def test_a_population_may_be_set_for_all_of_a_comparison(subject: Subject) -> None:
-    target = np.zeros((16, 16, 3), np.float32)
-    opt = optimizers.make(subject.name, 2, target, popsize=12, seed=0)
+    opt = optimizers.make(subject.name, 2, picture(2), popsize=12, seed=0)
     expected = {1, 11} if subject.name == "zerograds" else {1, 12}
     assert opt.popsize in expected and opt.ask().shape[1:] == (2,)
 
@@ -301,3 +323,115 @@ def test_functions_and_classes_that_take_a_space_can_be_registered(
         optimizers.make("function", 2, sed=3)
     made: Any = optimizers.make("spaces", space, seed=3)
     assert made.space is space and made.dim == 2
+
+
+# -- saving ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("share", [0.0, 0.02, 1.0])
+def test_saving_and_loading_continues_bit_for_bit(
+    subject: Subject, share: float, tmp_path: Path
+) -> None:
+    opt = subject.make(3, seed=7)
+    if share:
+        subject.tell(opt, np.random.default_rng(0).random((2, 3)))  # injected
+        subject.minimize(opt, int(share * subject.evaluations))
+    in_flight = opt.ask(2)
+    subject.tell(opt, in_flight[1:], np.array([np.nan]))
+    opt.save(tmp_path / "c")
+    again = subject.load(tmp_path / "c")
+    assert again.evaluations == opt.evaluations and again.times == opt.times
+    for o in (opt, again):
+        subject.tell(o, in_flight[:1], np.array([0.25]))
+    more = opt.evaluations + subject.evaluations // 2
+    for a, b in zip(subject.minimize(opt, more), subject.minimize(again, more), strict=True):
+        np.testing.assert_array_equal(a, b)
+    np.testing.assert_array_equal(opt.recommend(), again.recommend())
+    assert opt.best is not None and again.best is not None
+    assert (again.best.loss, again.best.evaluation) == (opt.best.loss, opt.best.evaluation)
+    again.save(tmp_path / "d")
+    assert subject.load(tmp_path / "d").evaluations == opt.evaluations
+
+
+def test_the_image_of_the_best_is_kept_and_saved(subject: Subject, tmp_path: Path) -> None:
+    opt = subject.make(3, seed=0)
+    X = opt.ask()
+    images = subject.render(X)
+    assert opt.target is not None
+    images[-1] = opt.target
+    opt.tell(X, images)
+    opt.save(tmp_path / "c")
+    for best in (opt.best, subject.load(tmp_path / "c").best):
+        assert best is not None and best.image is not None
+        assert (best.loss, best.evaluation) == (0.0, len(X) - 1)
+        np.testing.assert_array_equal(best.image, opt.target)
+    assert opt.times["encode"] > 0.0
+
+
+def test_a_device_that_is_not_there_is_refused(subject: Subject, tmp_path: Path) -> None:
+    with pytest.raises(DeviceError, match="no device 'nowhere'"):
+        subject.make(2, device="nowhere")
+    subject.make(2, seed=0).save(tmp_path / "c")
+    with pytest.raises(DeviceError, match="no device 'nowhere'"):
+        type(subject.make(2)).load(tmp_path / "c", device="nowhere")
+
+
+def test_a_checkpoint_of_another_optimizer_is_refused(subject: Subject, tmp_path: Path) -> None:
+    checkpoint.write(tmp_path / "c", "other", {})
+    with pytest.raises(CheckpointError, match="other"):
+        subject.load(tmp_path / "c")
+
+
+def test_features_of_another_version_of_the_encoder_are_refused(
+    subject: Subject, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if "encoder" not in optimizers.options(subject.name):
+        pytest.skip("it has no encoder")
+    opt = subject.make(3, seed=0, encoder="patch")
+    subject.tell(opt, opt.ask())
+    opt.save(tmp_path / "c")
+    monkeypatch.setattr(RawPatchEncoder, "version", "patch-2")
+    message = r"features of the encoder patch-1; the one here is patch-2: take .*or start again"
+    for load in (subject.load, subject.make(3, seed=0, encoder="patch").continue_from):
+        with pytest.raises(CheckpointError, match=message):
+            load(tmp_path / "c")
+
+
+LACKING = object()
+FORGERIES: list[tuple[tuple[str, ...], Any]] = [
+    (("settings",), [2]),
+    (("settings", "pickle"), "x"),
+    (("settings", "dim"), 2**40),
+    (("state", "times"), 3),
+    (("state", "evaluations"), -1),
+    (("state", "best", "x"), np.zeros(3)),
+    (("state", "best", "loss"), np.nan),
+    *((("state", "events"), np.array(e)) for e in ([-3, 7], [-3, 0, 0], [-4, 0, 1], [0.5, 1.0])),
+    (("state", "losses"), np.zeros(1)),
+    (("state", "injected"), None),
+    (("state", "asked"), "x"),
+    (("state", "network"), LACKING),
+    (("state",), LACKING),
+]
+
+
+def test_forged_contents_are_refused(subject: Subject, tmp_path: Path) -> None:
+    opt = subject.make(2, seed=0)
+    subject.tell(opt, opt.ask(3), np.array([0.5, 0.25, 0.75]))
+    opt.save(tmp_path / "c")
+    whole = checkpoint.read(tmp_path / "c", subject.name)
+    network = [] if whole["state"]["network"] is None else [(("state", "network"), "x")]
+    for path, value in [*FORGERIES, *network]:
+        checkpoint.write(tmp_path / "c", subject.name, changed(whole, path, value))
+        with pytest.raises(CheckpointError, match="impossible contents"):
+            subject.load(tmp_path / "c")
+
+
+def changed(state: dict[str, Any], path: tuple[str, ...], value: Any) -> dict[str, Any]:
+    """The state with another value at a place, or without one."""
+    name, *rest = path
+    if rest:
+        return {**state, name: changed(state[name], tuple(rest), value)}
+    without = {key: kept for key, kept in state.items() if key != name}
+    return without if value is LACKING else {**without, name: value}

@@ -156,35 +156,19 @@ def reporting(progress: object) -> Iterator[Report | None]:
     check_progress(progress)
     if progress is None:
         progress = sys.stderr is not None and sys.stderr.isatty()
-    if callable(progress):
-        yield progress
-    elif progress:
-        with _bar() as report:
-            yield report
-    else:
-        yield None
+    if callable(progress) or not progress:
+        yield progress if callable(progress) else None
+        return
+    try:
+        yield _show
+    finally:
+        print("\r\x1b[K", end="", file=sys.stderr, flush=True)
 
 
-@contextmanager
-def _bar() -> Iterator[Report]:
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress as Bars, TextColumn, TimeElapsedColumn
-
-    columns = [  # without markup, since a remark may hold brackets
-        BarColumn(bar_width=16),
-        TextColumn("{task.completed}/{task.total}", markup=False),
-        TimeElapsedColumn(),
-        TextColumn("{task.description}", markup=False),
-    ]
-    console = Console(stderr=True)
-    with Bars(*columns, console=console, refresh_per_second=5, transient=True) as bar:
-        line = bar.add_task("", total=None)
-
-        def report(progress: Progress) -> None:
-            words = progress.remark
-            if math.isfinite(progress.best_loss):
-                words = f"best {progress.best_loss:.3g}  {words}"
-            total = progress.budget or None
-            bar.update(line, total=total, completed=progress.evaluations, description=words)
-
-        yield report
+def _show(progress: Progress) -> None:
+    """Write a line over the one before."""
+    done, best = f"{progress.evaluations}/{progress.budget or '-'}", ""
+    if math.isfinite(progress.best_loss):
+        best = f"  best {progress.best_loss:.3g}"
+    words = f"{done}  {progress.wall_s:.0f} s{best}  {progress.remark}"
+    print(f"\r{words}\x1b[K", end="", file=sys.stderr, flush=True)
