@@ -3,7 +3,7 @@
 They are linear in their coefficients, so the nearest ones have a closed form (variable projection:
 Golub and Pereyra, 1973): ridge regression toward no change, of images reduced to at most 28 x 28
 pixels, with the weights of robust differences.  Where a render is constant, gain, offset and curve
-cannot be told apart, and the prior decides.  Where the nearest ones would invert a picture, they are
+cannot be told apart, and the prior decides.  Where the nearest would invert a picture, they are
 moved toward no change until they do not.
 """
 

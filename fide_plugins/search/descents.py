@@ -20,8 +20,9 @@ __all__ = ["Descents"]
 
 _ROUNDS = (
     *((0.0125, 0.005, 6, kind) for kind in "JTT"),
-    *((0.0125, 0.004, 3, kind) for kind in "JTT"),
-    *((0.0, 0.003, 2, kind) for kind in "JTTT"),
+    *((0.0125, 0.004, 4, kind) for kind in "JTT"),
+    *((0.0, 0.003, 3, kind) for kind in "JTTT"),
+    *((0.0, 0.002, 2, kind) for kind in "JTT"),
 )
 """Blur in sides of the image, step of differences, descents, and whether a round measures Jacobians
 (J) or tries steps (T)."""
