@@ -71,7 +71,6 @@ CONFIGURATIONS: dict[str, Change] = {
     "no relocation": Change({}, without=(RelocateGroup, RelocateSegment)),
     "no refinement": Change({}, without=(Refine,)),
     "no beginning anew": Change({}, without=(RandomRestart,)),
-    "proposer: forward model": Change({"proposer": "forward"}),
     "patience of 10 generations": Change({"patience": 10}),
     "patience of 25 generations (accurate)": Change({"patience": 25}),
     "channels: the first 3": Change({"channel_subsets": (3,)}),

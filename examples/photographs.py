@@ -20,7 +20,7 @@ from PIL import Image, ImageDraw
 from fide_lab.suite import foreign
 from fide_plugins import FIDE, fit
 
-PROBLEMS = {  # options of each search, beside photo=True
+PROBLEMS: dict[tuple[str, int], dict[str, Any]] = {  # options of each search, beside photo=True
     ("board_near", 8): {"coarse_to_fine": False},
     ("wall", 0): {},
     ("coin", 0): {},

@@ -35,7 +35,6 @@ from fide_plugins.search.scene import APART
 from fide_plugins.space import Space
 from fide_plugins.space.constraints import constraints_not_stored
 from fide_plugins.state import State
-from fide_plugins.status import Facts, Status, status_of
 from fide_plugins.types import Float64, Posterior, Solution
 from fide_plugins.validation.points import (
     as_points,
@@ -53,6 +52,7 @@ from fide_plugins.views.same_images import SameImages
 if TYPE_CHECKING:
     from fide_plugins.learning.model import Model
     from fide_plugins.search.validity import Validity
+    from fide_plugins.status import Status
 
 __all__ = ["FIDE", "Decision"]
 
@@ -64,7 +64,7 @@ _STALLED = 20  # generations without improvement; or a quarter of all evaluation
 Decision: TypeAlias = tuple[bool | None, bool | None]
 """Whether a search is over, and whether images say where the next begins, as others have decided.
 
-None: the optimizer decides (`distributed`).
+None: the optimizer decides (`fide_adapters.optuna.replica`).
 """
 
 
@@ -245,7 +245,7 @@ class FIDE(Saved):
     @property
     def _learns(self) -> bool:
         o = self.options
-        return o.proposer in ("both", "linear", "forward") and o.restarts == "moves"
+        return o.proposer in ("both", "linear") and o.restarts == "moves"
 
     # -- ask: lines 4 and 5 ------------------------------------------------------------------------
 
@@ -644,6 +644,7 @@ class FIDE(Saved):
         since = state.evaluations - state.retargeted_at
         known = state.moves.known
         others, apart = known.optima.others(known.exchangeability.distance)
+        from fide_plugins.status import Facts, status_of
         from fide_plugins.views.solved import is_solved
 
         image = None if best is None else best.solution.image

@@ -51,14 +51,12 @@ class NetworkOptions:
     """The published denoiser.  These options are refused where the proposer is no network.
 
     epochs, learning_rate, batch_size, schedule: see `proposers.diffusion`; at most 10,000 epochs.
-    steps: of denoising, evenly, in place of the schedule; at most 1,000, as levels of a schedule.
     """
 
     epochs: int = _option(20, rules.whole(1, 10_000, "4 to 20 are published"))
     learning_rate: float = _option(1e-3, rules.positive)
     batch_size: int = _option(50, rules.whole(1))
     schedule: tuple[float, ...] = _option(PAPER_SCHEDULE, rules.schedule)
-    steps: int | None = _option(None, rules.whole(1, 1000, "3 are published"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,10 +65,10 @@ class Options:
 
     encoder: name in `fide_plugins.encoders`.
     popsize: k, candidates a generation; None: 4 + 3 ln d.
-    proposer: "linear" (parameters regressed on features), "forward" (features on parameters: fast
-        on smooth scenes, greedy on others), "both" (linear, and between the generations steps of
-        the forward model, see `proposers.forward`; none with a learned model, or with more than 100
-        parameters or 4 k), "diffusion" (the published denoiser) or "none" (CMA-ES).
+    proposer: "linear" (parameters regressed on features), "both" (linear, and between the
+        generations steps of a forward model, see `proposers.forward`; none with a learned model,
+        or with more than 100 parameters or 4 k), "diffusion" (the published denoiser) or "none"
+        (CMA-ES).
     restarts: where the next search begins: "moves" (they keep most of the best candidate, see
         `search.moves`), "anew" (at a random place); "none" for one search, to the end.  Without
         images, and with nothing proposed, "moves" is "anew".
@@ -97,7 +95,7 @@ class Options:
 
     encoder: str = _option("dense", rules.text("a name in fide_plugins.encoders"))
     popsize: int | None = _option(None, rules.whole(4, 2**20, "4 to 4,096 are tested"))
-    proposer: str = _option("both", rules.one_of("both", "linear", "forward", "diffusion", "none"))
+    proposer: str = _option("both", rules.one_of("both", "linear", "diffusion", "none"))
     restarts: str = _option("moves", rules.one_of("moves", "anew", "none"))
     patience: int | None = _option(None, rules.whole(1))
     improvement: float = _option(0.1, rules.fraction)
@@ -235,9 +233,3 @@ def _check_together(options: Options, preset: Options) -> None:
                 f"{name}={own[name]!r} is of the network, and the proposer {options.proposer!r} "
                 "has none: leave it out, or take preset='paper' or proposer='diffusion'"
             )
-    network = options.network
-    if network.steps is not None and network.schedule != preset.network.schedule:
-        raise OptionError(
-            f"steps={network.steps} are even steps in place of a schedule: give steps or "
-            "schedule, not both"
-        )

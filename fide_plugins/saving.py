@@ -148,8 +148,8 @@ class Saved(ABC):
         """
         saved = checkpoint.read(path, self.name)
         with _possible(path):
-            there, here = saved["settings"], self.settings()
-            other = [name for name in here if not _same(there.get(name), here[name])]
+            stored, own = saved["settings"], self.settings()
+            other = [name for name in own if not _same(stored.get(name), own[name])]
             if other:
                 raise CheckpointError(
                     f"{os.fspath(path)}: it was saved with another {', '.join(other)}; give the "

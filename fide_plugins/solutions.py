@@ -120,10 +120,7 @@ def read(
 
 
 def _with_std(best: Solution, run: dict[str, Any]) -> Solution:
-    """The best solution with the standard deviations that its fit has computed at the end.
-
-    Without them, or where they are of another candidate, they are of samples of the search.
-    """
+    """The best solution with the standard deviations that its fit has computed at the end."""
     totals = run.get("totals")
     try:
         kept = read_solutions((totals or {}).get("solutions", []), len(best.x), best.space)

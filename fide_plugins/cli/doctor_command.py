@@ -112,7 +112,9 @@ def _text(facts: dict[str, Any]) -> str:
         extra: version or f"not installed: {install_command(extra)}"
         for extra, version in facts["extras"].items()
     }
-    sections = {**facts, "opencv": {"OpenCV": facts["opencv"]}, "extras": extras}
+    computer = {name: "none" if fact is None else fact for name, fact in facts["machine"].items()}
+    opencv = {"OpenCV": facts["opencv"]}
+    sections = {**facts, "machine": computer, "opencv": opencv, "extras": extras}
     lines = []
     for title, table in sections.items():
         lines += ["", title]

@@ -3,7 +3,6 @@
     fide learn scene.py:render --renders 100000 --out scene.fide --workers 2
     fide learn --command 'povray scene.pov +O{out} Sun={sun}' --space space.toml --out m.fide
     fide learn robot --renders 60000 --time 30m --out robot.fide
-    fide learn robot --renders 100000 --dask tcp://HOST:8786 --out robot.fide
     fide fit photo.png --renderer scene.py:render --learned scene.fide
 
 SOURCE is FILE.py:NAME (or module:NAME), a function of your own, or the name of a built-in task. The
@@ -16,8 +15,7 @@ from __future__ import annotations
 import argparse
 import shlex
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -63,10 +61,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="longer side at which a built-in task renders (that of --size)")  # fmt: skip
     add("--passes", type=whole(1), default=10, metavar="N", help="over the renders, at most (10)")
     add("--time", metavar="TIME", help="how long at most: 90s, 10m, 1h30m")
-    where = parser.add_mutually_exclusive_group()
-    where.add_argument("--workers", type=whole(0), metavar="N",
+    add("--workers", type=whole(0), default=1, metavar="N",
         help="processes that render; 0 and 1: this one (1)")  # fmt: skip
-    where.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster")
     add("--seed", type=whole(0), default=0, metavar="N", help="of parameters and network (0)")
     add("--task-set", type=setting, action="append", default=[], metavar="KEY=VALUE",
         help="any option of the task, such as cells=12; may be repeated")  # fmt: skip
@@ -110,9 +106,8 @@ def _learn(args: argparse.Namespace, command: list[str], arguments: dict[str, An
             warnings_as_notes(who),
             Interrupts() as interrupts,
             interrupts.stoppable(),  # each file is written at once
-            _where(args) as where,
         ):
-            model = learn(**arguments, **where, on_progress=_lines())
+            model = learn(**arguments, on_progress=_lines())
     except Interrupted as stop:
         note(f"{who}: {stop}; {_KEPT} {plain(args.out)}.renders")
         note(f"continue with: {continuation(command)}")
@@ -148,23 +143,11 @@ def _arguments(args: argparse.Namespace) -> dict[str, Any]:
     render, space = _renderer(args)
     same = (
         "renders", "size", "passes", "seed", "augment", "backgrounds", "emulator", "groups",
-        "device", "out",
+        "device", "out", "workers",
     )  # fmt: skip
     time = None if args.time is None else seconds_of("time", args.time)
     given = {name: getattr(args, name) for name in same}
     return {"render": render, "space": space, "time": time, **given}
-
-
-@contextmanager
-def _where(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
-    """Arguments of `learn` that say where it renders."""
-    if args.dask is None:
-        yield {"workers": args.workers}
-        return
-    from fide_plugins.runtime.machine import connected, workers_of
-
-    with connected(args.dask) as client:  # one shard is rendered, another one waits
-        yield {"executor": client, "workers": 2 * len(workers_of(client))}
 
 
 def _renderer(args: argparse.Namespace) -> tuple[Any, Any]:
@@ -218,7 +201,5 @@ def _line(progress: Any) -> str:
         case "emulate":
             explained = f"{1 - progress.held_out:.1%} of the variance explained"
             return f"emulator, pass {done}  held-out renders: {explained}"
-        case "calibrate":
-            return f"calibrating {done} at most"
         case _:
             return f"judging {done}"

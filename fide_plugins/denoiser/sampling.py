@@ -12,7 +12,6 @@ import torch
 from torch import Tensor
 
 from fide_plugins.denoiser import Denoise, Network
-from fide_plugins.options import PAPER_SCHEDULE
 from fide_plugins.validation.options import check_schedule
 
 CENTER = 0.5  # the start of every search; Algorithm 1 counts parameters from there (mu = 0)
@@ -25,29 +24,6 @@ def x_prediction(network: Network) -> Denoise:
         return CENTER + network(z - CENTER, s)
 
     return denoise
-
-
-def whitened(network: Network, mean: Tensor | float, std: Tensor | float) -> Denoise:
-    """Denoiser of data with this `mean` and `std`, [d] or one number for all.
-
-    With u = (z - mean) / std and r = s / std, the estimate is
-    u / (1 + r^2) + r / sqrt(1 + r^2) * network(u / sqrt(1 + r^2), r); the network's input and
-    its ideal output have variance 1 at every noise level.
-    """
-
-    def denoise(z: Tensor, s: Tensor) -> Tensor:
-        r = s / std  # [B, d]
-        variance = 1 + r * r
-        u = (z - mean) / std
-        remainder = network(u / variance.sqrt(), r)
-        return mean + std * (u / variance + r / variance.sqrt() * remainder)
-
-    return denoise
-
-
-def evenly(steps: int) -> tuple[float, ...]:
-    """Schedule of evenly spaced times from that of the paper; 3 steps give the published one."""
-    return tuple(round(PAPER_SCHEDULE[0] * (steps - i) / steps, 12) for i in range(steps))
 
 
 @torch.no_grad()

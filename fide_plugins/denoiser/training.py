@@ -21,7 +21,7 @@ Objective = Callable[[Denoise, Tensor, Tensor, torch.Generator], Tensor]
 """Scalar loss of a denoiser on clean parameters x (B, d), noise `std` (d,) at time 1."""
 
 
-def _normal(shape: tuple[int, ...], like: Tensor, generator: torch.Generator) -> Tensor:
+def standard_normal(shape: tuple[int, ...], like: Tensor, generator: torch.Generator) -> Tensor:
     """Draw from N(0, 1), in the precision of `like` and where it is."""
     return torch.randn(shape, generator=generator, device=like.device, dtype=like.dtype)
 
@@ -39,30 +39,8 @@ class XLoss:
         """One draw of time and noise for each example."""
         t = torch.rand(len(x), 1, generator=generator, device=x.device, dtype=x.dtype)  # ~ U(0, 1)
         s = t * std  # (B, d)
-        eps = _normal(x.shape, x, generator)  # ~ N(0, I)
+        eps = standard_normal(x.shape, x, generator)  # ~ N(0, I)
         return (denoise(x + s * eps, s) - x).square().mean()
-
-
-class WhitenedLoss:
-    """Objective for `preconditioning.whitened` and data with standard deviation `std`.
-
-    Karras et al. 2022, Table 1: ln t ~ N(log_mean, log_std^2).  With the weight
-    (1 + t^2) / (t std)^2, a network with output zero has loss 1 at every noise level.
-    """
-
-    def __init__(self, log_mean: float = 0.0, log_std: float = 1.5) -> None:
-        self.log_mean, self.log_std = log_mean, log_std
-
-    def __call__(
-        self, denoise: Denoise, x: Tensor, std: Tensor, generator: torch.Generator
-    ) -> Tensor:
-        """One draw of time and noise for each example."""
-        normal = _normal((len(x), 1), x, generator)
-        t = (self.log_mean + self.log_std * normal).exp()
-        s = t * std  # (B, d)
-        eps = _normal(x.shape, x, generator)  # ~ N(0, I)
-        error = (denoise(x + s * eps, s) - x) / s
-        return ((1 + t * t) * error.square()).mean()
 
 
 def fit(

@@ -42,9 +42,8 @@ def make(name: str, *, device: str | torch.device = "cpu", **options: object) ->
 
     options: arguments of the encoder's class.
 
-    Raises `UnknownNameError`, which lists the known names, `OptionError` for an option that the
-    encoder does not have (a factory of yours needs `device`), `DeviceError`, or what the encoder
-    itself raises, such as `WeightsNotFoundError`.
+    Raises `UnknownNameError`, `OptionError` for an option that the encoder does not have (a factory
+    of yours needs `device`), `DeviceError`, or what the encoder itself raises.
     """
     from fide_plugins.encoders.base import PatchEncoder
 

@@ -12,11 +12,10 @@ samples, exactly, also if boxes cut through pixels.  All features are computed f
 A square image has 14 x 14 patches at any resolution; other shapes have about as many square
 patches, see `grid`.
 
-What noise is left depends on the image.  A second set of samples is taken from the image despeckled
-twice, and smoothed by a bilateral filter (Tomasi & Manduchi 1998).  The features use (1 - w) times
-the first set plus w times the second.  The weight w grows with the noise level, the median over
-pixels of what the first median changed, from 0, at half a step of 8 bits, to 1, at 0.015, which
-images of 10 to 20 samples per pixel exceed.  Drawings and shaded scenes have w = 0.
+A second set of samples is taken from the image despeckled twice, and smoothed by a bilateral
+filter (Tomasi & Manduchi 1998).  The features use (1 - w) times the first set plus w times the
+second.  The weight w grows with the noise level, the median over pixels of what the first median
+changed, from 0, at half a step of 8 bits, to 1, at 0.015.  Drawings and shaded scenes have w = 0.
 
 Channels of a token (C = 16)
 
@@ -29,10 +28,8 @@ Channels of a token (C = 16)
         along the other
 ======  ======================================================================  ============
 
-Channels 0-2 are the mean color of the patch in every version, so a linear model may rely on them.
-Channels 0-11 together give the mean colors of the four quarters.  Edges: with g the gradient of the
-luminance and theta its angle, |g| cos 2 theta and |g| sin 2 theta are each split into positive and
-negative part and averaged over the patch, so opposite contrasts do not cancel.
+Edges: with g the gradient of the luminance and theta its angle, |g| cos 2 theta and |g| sin 2 theta
+are each split into positive and negative part and averaged over the patch.
 """
 
 from __future__ import annotations

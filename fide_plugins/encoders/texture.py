@@ -1,14 +1,9 @@
 """Encoder `texture`: one token, which says what a picture is made of, wherever it is.
 
-`statistics` describe a picture without places, in the tradition of Heeger and Bergen (1995) and of
-Portilla and Simoncelli (2000):
-
-* colors: quantiles of the pixels along nine directions of RGB (the sliced Wasserstein distance);
-* power in bands of frequency and of three orientations, of three opponent colors: the logarithm of
-  its mean over overlapping windows;
-* sharpness of edges at four scales, and the correlations of the colors.
-
-They are those of the mirrored picture, and nearly those of a shifted one.
+After Heeger and Bergen (1995), and Portilla and Simoncelli (2000): quantiles of the colors along
+nine directions of RGB; the logarithm of the mean power in bands of frequency and of three
+orientations; sharpness of edges at four scales, and correlations of the colors.  They are those of
+the mirrored picture, and nearly those of a shifted one.
 """
 
 from __future__ import annotations

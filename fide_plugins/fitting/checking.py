@@ -300,10 +300,7 @@ class _Check:
         facts.median, facts.slowest = median(later), max(later)
 
     def _center(self, bases: Float64) -> tuple[Float64, Views] | None:
-        """The middle of the ranges and its image, or the first of other points that has one.
-
-        Things of one kind would all be at one place there: each has random values of its own.
-        """
+        """The middle of the ranges and its image, or the first of other points that has one."""
         middle = np.full(self.facts.dim, 0.5)
         groups = [] if isinstance(self._space, int) else self._space.groups
         repeated = [axis for block in groups for axis in block]

@@ -55,11 +55,7 @@ class FitInterrupted(Interrupted):
 
 
 class Fitting:
-    """A fit; made by `one_call.prepare`.
-
-    plan: arguments of a `SavedRun`, with which its result can be saved.
-    max_failures: share of the latest renders that may fail, in (0, 1].
-    """
+    """A fit; made by `one_call.prepare`; plan: arguments of a `SavedRun`, to save its result."""
 
     def __init__(
         self,
@@ -90,13 +86,7 @@ class Fitting:
         self._std_renders = 0
 
     def execute(self) -> Result:
-        """Fit until a rule says stop.
-
-        Raises FitInterrupted (a KeyboardInterrupt) after SIGINT or SIGTERM, FitError if hardly any
-        render succeeds or a callback, the loss or the encoder raises, any error of the optimizer,
-        OSError if the run directory cannot be written.  What was computed is saved before, as far
-        as that can be done, and is the attribute `result` of whatever is raised.
-        """
+        """Fit until a rule says stop; raises what `fit` does, after saving what was computed."""
         with (
             nullcontext() if self.saved is None else closing(self.saved),
             Interrupts(once=True) as interrupts,
@@ -245,11 +235,7 @@ class Fitting:
     # -- ending ------------------------------------------------------------------------------------
 
     def _say_how_sure(self, stopped: str, interrupts: Interrupts) -> None:
-        """Standard deviations (dim,) from renders around the answer, as far as these can be made.
-
-        They are made where the budget has room, or where they add at most a tenth, and where the
-        time has room.  A signal meanwhile ends them, and the fit ends as it would have.
-        """
+        """Render around the answer, where budget and time have room, for standard deviations."""
         best, done = self.optimizer.state.best, self.record.evaluations
         if best is None or best.solution.image is None or stopped in ("time", "callback"):
             return
@@ -270,10 +256,7 @@ class Fitting:
                 self._std, self._std_renders = std, renders
 
     def _end(self, stopped: str, interrupts: Interrupts, error: BaseException | None) -> Result:
-        """Save, and tell the callbacks; raises `error`, or what goes wrong here, with the result.
-
-        No signal stops the writing.
-        """
+        """Save, and tell the callbacks; raises `error`, or what goes wrong, with the result."""
         interrupts.block()
         try:
             self._write("finished" if error is None else stopped, stopped)

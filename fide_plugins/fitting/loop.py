@@ -107,11 +107,6 @@ class Loop:
         return len(self._running)
 
     @property
-    def has_waiting(self) -> bool:
-        """Whether there are candidates that were asked and are not rendered yet."""
-        return bool(self._waiting)
-
-    @property
     def pending(self) -> Float64:
         """Candidates (n, dim) that were asked and not told, in that order."""
         running = [x for X in self._running.values() for x in X]

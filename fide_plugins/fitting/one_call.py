@@ -244,10 +244,7 @@ def _plan(
 
 
 def _check_render(render: object, named: bool) -> None:
-    """Raise OptionError for a function that cannot be called with one argument.
-
-    named: whether it gets a dictionary.
-    """
+    """Raise OptionError for a function that cannot be called with one argument."""
     if not callable(render):
         raise OptionError(
             f"render must be a function of the parameters, not {_short(render)}; the order is "

@@ -152,11 +152,8 @@ def _remove(folder: str) -> None:
 
 
 def _leave_results_to_the_process(executor: ProcessPoolExecutor) -> None:
-    """Close our copy of the end of the pipe into which the process writes.
-
-    With it open, a process that is killed while it sends an image would leave the executor waiting
-    for the rest for ever, and with it `shutdown`.  The executor has no public name for the pipe.
-    """
+    """Close our copy of the end of the pipe into which the process writes."""
+    # else one that is killed while it sends would leave `shutdown` waiting; there is no public name
     writer = getattr(getattr(executor, "_result_queue", None), "_writer", None)
     if writer is not None:
         writer.close()

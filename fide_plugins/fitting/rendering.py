@@ -131,11 +131,7 @@ class Renderer:
 
 
 def _in_memory(image: Any, raw: bool) -> Any:
-    """The image, or the list of images, with the pixels of those that are still in a file.
-
-    They are read where they were rendered and before that worker gets another candidate, whose
-    image may be written to the same file.
-    """
+    """The image, or the list of images, with the pixels of those that are still in a file."""
     if isinstance(image, list | tuple) and any(is_path(one) or is_pil(one) for one in image):
         return type(image)(_in_memory(one, raw) for one in image)
     if is_path(image):

@@ -38,11 +38,7 @@ _ADAPTS = ("photo", "photometric", "robust", "background")
 
 
 class SavedRun:
-    """What a fit writes, and what it reads when it is resumed.
-
-    Raises RunDirectoryError (a FileExistsError) for a directory of another run, OSError if it
-    cannot be written.
-    """
+    """What a fit writes, and what it reads when it is resumed; raises as `RunDirectory`."""
 
     def __init__(
         self,
@@ -132,10 +128,7 @@ class SavedRun:
         optimizer: FIDE,
         solutions: Sequence[Solution],
     ) -> None:
-        """Write totals and the summary.
-
-        state: see `RunDirectory.write_run`.  stopped, solutions: see `Result`.
-        """
+        """Write totals and the summary; stopped, solutions: see `Result`."""
         result = result_of(
             self._directory.settings,
             record,
@@ -257,10 +250,7 @@ def _in_user_values(optimizer: FIDE, image: Float32 | None) -> Float32 | None:
 
 
 def _verdict(record: Record, optimizer: FIDE) -> Verdict:
-    """The best image as the run has seen it: nobody knows a better one.
-
-    Its squared error counts views and weights as the loss "mse" does.
-    """
+    """The best image as the run has seen it: nobody knows a better one."""
     image = None if record.image is None else best_compared(optimizer)
     if image is None:
         return Verdict()

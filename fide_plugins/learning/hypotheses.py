@@ -61,19 +61,21 @@ def posterior_of(
         target = target[0]
     far = learned.unfamiliarity(target)
     if far > 1:
-        warn_user(f"{learned.unlike_all(far)}: the search goes on without the model")
+        warn_user(
+            f"the model of {learned.renderer!r} has learned nothing like this picture (its "
+            f"features are {far:.3g} times as far from those of renders as the furthest that count "
+            "as familiar): the search goes on without the model"
+        )
         return None
-    x = learned.sample(target, _DRAWN, seed % 2**32)
+    seed %= 2**32
+    x = learned.sample(target, _DRAWN, seed)
     if learned.blocks:
         x[0] = _middle(x, np.array(learned.network.periodic))
-    refined = _refined(learned, target, x, seed % 2**32) if learned.emulates else None
+    refined = None
+    if learned.emulates:
+        anywhere = np.random.default_rng((seed, 3)).random((_DESCENTS, learned.dim))
+        refined = learned.refined(target, np.concatenate([x[:_DESCENTS], anywhere]), seed)
     return Posterior(x, refined)
-
-
-def _refined(model: Model, target: Any, x: Float64, seed: int) -> Float64:
-    """What descents find (m, d) from hypotheses x (n, d) and from anywhere."""
-    anywhere = np.random.default_rng((seed, 3)).random((_DESCENTS, model.dim))
-    return model.refined(target, np.concatenate([x[:_DESCENTS], anywhere]), seed)
 
 
 def _middle(x: Float64, periodic: Mask) -> Float64:

@@ -6,8 +6,7 @@ import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
-from typing import Any, Self, TypeAlias
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -25,7 +24,6 @@ LARGEST_SCALE = 4.0
 COVERAGE = 0.9  # of the region of highest density
 DRAWS = 99  # so that a calibrated truth is among the 90 densest of 100 in 90 %
 _STEP = 1.2
-_MOST_SCALES = 1 + math.ceil(math.log(LARGEST_SCALE) / math.log(_STEP))  # that are tried
 _FEWEST, _MOST = 50, 300  # renders: they tell their share to 4 %, and to 2 %
 ENOUGH = 2 * _FEWEST  # held-out renders for a scale, which half of them choose
 
@@ -46,9 +44,6 @@ _PICTURES = 300
 _BATCH = 500
 _EXPLAINED = 0.9  # of the variance of renders: a worse emulator misleads
 
-OnPicture: TypeAlias = Callable[[int, int], None]
-"""Called after each held-out picture with how many are done, and how many there are at most."""
-
 
 # -- calibration -----------------------------------------------------------------------------------
 
@@ -64,9 +59,7 @@ def split_held_out(aside: Mask) -> tuple[Mask, Mask]:
     return fit, aside & ~fit
 
 
-def fitted_scale(
-    network: Network, x: Float64, images: Pixels, seed: int = 0, on_picture: OnPicture | None = None
-) -> float:
+def fitted_scale(network: Network, x: Float64, images: Pixels, seed: int = 0) -> float:
     """Scale in [1, 4] by which 90 % regions hold 90 % of renders, x (n, d), images (n, H, W, 3).
 
     A network that has seen its renders several times is too sure of itself; one scale of all
@@ -77,11 +70,9 @@ def fitted_scale(
     """
     if not len(x):
         return 1.0
-    done = 0
 
     def coverage(scale: float) -> float:
         """Share of renders whose parameters are in their 90 % region."""
-        nonlocal done
         network.scale = scale
         generator = torch.Generator().manual_seed(seed)
         u = torch.from_numpy(x.astype(np.float32))
@@ -89,9 +80,6 @@ def fitted_scale(
         for i in range(len(x)):
             image = as_input(images[i : i + 1])
             inside.append(in_region(network, image, network.sample(image, DRAWS, generator), u[i]))
-            done += 1
-            if on_picture is not None:
-                on_picture(done, _MOST_SCALES * len(x))
         return float(np.mean(inside))
 
     before, scale = network.scale, 1.0
@@ -329,32 +317,22 @@ def against_prior(nll: float) -> str:
     return f"{abs(nll):.2f} nats {'worse' if nll > 0 else 'better'} than the uniform prior"
 
 
-class Distance:
-    """Largest difference of two points of the cube in any parameter, exchangeable blocks matched.
+def matched(
+    row: Float64, x: Float64, periodic: Sequence[bool], blocks: Sequence[Sequence[int]]
+) -> Float64:
+    """Return the point `row` (d,) with its blocks in the order in which they are nearest x (d,).
 
-    periodic: (d,), axes that wrap around.  blocks: (n, L), axes of each exchangeable block.
+    That is the order with the least sum of differences of all parameters.
     """
-
-    def __init__(self, periodic: Sequence[bool], blocks: Sequence[Sequence[int]] = ()) -> None:
-        self.periodic, self.blocks = np.array(periodic), np.array(blocks, np.intp)
-
-    def __call__(self, X: Float64, x: Float64) -> Float64:
-        """Distances (n,) of points X (n, d) from x (d,)."""
-        matched = np.array([self.matched(row, x) for row in X]) if len(self.blocks) else X
-        return np.asarray(distance(matched, x, self.periodic).max(axis=1), np.float64)
-
-    def matched(self, row: Float64, x: Float64) -> Float64:
-        """Return the point `row` (d,) with its blocks in the order in which they are nearest x.
-
-        That is the order with the least sum of differences of all parameters: each of them says
-        something of which block is which.
-        """
-        wraps = self.periodic[self.blocks[0]]
-        apart = distance(row[self.blocks][:, None], x[self.blocks][None], wraps)  # (n, n, L)
-        _, place = linear_sum_assignment(apart.sum(axis=-1))
-        sorted_ = row.copy()
-        sorted_[self.blocks[place]] = row[self.blocks]
-        return sorted_
+    if not len(blocks):
+        return row
+    index = np.array(blocks, np.intp)  # (n, L)
+    wraps = np.array(periodic)[index[0]]
+    apart = distance(row[index][:, None], x[index][None], wraps)  # (n, n, L)
+    _, place = linear_sum_assignment(apart.sum(axis=-1))
+    ordered = row.copy()
+    ordered[index[place]] = row[index]
+    return ordered
 
 
 def report_of(
@@ -364,18 +342,18 @@ def report_of(
     *,
     failed: int,
     emulated: float | None,
-    on_progress: Callable[[str, int, int], None],
+    on_picture: Callable[[int, int], None],
 ) -> Report:
     """Calibrate the network, which its training has left, and judge it on held-out renders.
 
     names: (d,), of the axes.  failed: renders that failed.  emulated: see `Report`.
-    on_progress: called with stage, done and total of a `LearnProgress`, after each picture.
+    on_picture: called with how many pictures are judged, and of how many.
     """
     x, seed = training.x, training.seed
     aside = is_held_out(len(x))
     fit, judges = split_held_out(aside)
     images = training.shown(np.flatnonzero(fit))
-    network.scale = fitted_scale(network, x[fit], images, seed, partial(on_progress, "calibrate"))
+    network.scale = fitted_scale(network, x[fit], images, seed)
     images = training.shown(np.flatnonzero(judges))
     return Report(
         renders=int((~aside).sum()),
@@ -388,7 +366,7 @@ def report_of(
         fitted=int(fit.sum()),
         emulated=emulated,
         clutter=None if training.clutter is None else training.clutter.name,
-        **_judged(network, x[judges], images, names, seed, partial(on_progress, "judge")),
+        **_judged(network, x[judges], images, names, seed, on_picture),
     )
 
 
@@ -399,10 +377,10 @@ def _judged(
     images: Pixels,
     names: Sequence[str],
     seed: int,
-    on_picture: OnPicture,
+    on_picture: Callable[[int, int], None],
 ) -> dict[str, Any]:
     """Those fields of `Report` that renders measure, x (n, d) and images (n, H, W, 3)."""
-    apart = Distance(network.periodic, network.blocks)
+    periodic, blocks = network.periodic, np.array(network.blocks, np.intp)
     u = torch.from_numpy(x.astype(np.float32))
     starts = range(0, len(u), _BATCH)
     each = [network.log_prob(as_input(images[i : i + _BATCH]), u[i : i + _BATCH]) for i in starts]
@@ -415,21 +393,20 @@ def _judged(
         samples = drawn.numpy().astype(np.float64)
         drawings.append(samples[:_HYPOTHESES])
         inside.append(in_region(network, image, drawn, u[i]))
-        told.append(scores(samples, x[i], apart.blocks))
+        told.append(scores(samples, x[i], blocks))
         on_picture(i + 1, pictures)
-    in_blocks = set(apart.blocks.ravel().tolist())
+    in_blocks = set(blocks.ravel().tolist())
     names = [_NUMBER.sub("", one) if i in in_blocks else one for i, one in enumerate(names)]
     shown = are_shown(np.array(told), names)
     counted = shown if shown.any() else ~shown  # other axes say nothing of which block is which
-    near = np.array(
-        [
-            apart(np.where(counted, samples, 0.5), np.where(counted, truth, 0.5)).min()
-            for samples, truth in zip(drawings, x, strict=False)
-        ]
-    )
+    near = []
+    for samples, truth in zip(drawings, x, strict=False):
+        some, at = np.where(counted, samples, 0.5), np.where(counted, truth, 0.5)
+        ordered = np.array([matched(row, at, periodic, network.blocks) for row in some])
+        near.append(distance(ordered, at, np.array(periodic)).max(axis=1).min())
     return {
         "nll": -float(torch.cat(each).mean()),
-        "within": (float(np.mean(near <= 0.05)), float(np.mean(near <= 0.1))),
+        "within": (float(np.less_equal(near, 0.05).mean()), float(np.less_equal(near, 0.1).mean())),
         "coverage": float(np.mean(inside)),
         "unseen": tuple(dict.fromkeys(n for n, s in zip(names, shown, strict=True) if not s)),
     }

@@ -16,7 +16,7 @@ from torch import Tensor
 from fide_plugins.denoiser.network import full_precision
 from fide_plugins.errors import CheckpointError, ImageError, ModelNotFoundError, OptionError
 from fide_plugins.learning.emulator import Emulator, inverted
-from fide_plugins.learning.judging import LARGEST_SCALE, Distance, Familiarity, Report
+from fide_plugins.learning.judging import LARGEST_SCALE, Familiarity, Report
 from fide_plugins.learning.networks import Network, as_input
 from fide_plugins.learning.renders import pixels_of, same_aspect
 from fide_plugins.runtime import checkpoint
@@ -117,11 +117,6 @@ class Model:
         """Exchangeable blocks of axes; empty: there are none."""
         return self.network.blocks
 
-    @property
-    def distance(self) -> Distance:
-        """Of points of the cube, exchangeable blocks matched."""
-        return Distance(self.network.periodic, self.blocks)
-
     @_full_precision()
     def sample(self, picture: object, n: int = 64, seed: int = 0) -> Float64:
         """Hypotheses (n, dim) in [0, 1] of the parameters of a picture, drawn from the posterior.
@@ -179,14 +174,6 @@ class Model:
         """Distance of the picture from renders, in units of what is still familiar."""
         distance = self.familiarity.distances(self._vector(picture)[None])[0]
         return float(distance / max(self.familiarity.threshold, 1e-300))
-
-    def unlike_all(self, far: float) -> str:
-        """Beginning of a warning of a picture; far: its `unfamiliarity`."""
-        return (
-            f"the model of {self.renderer!r} has learned nothing like this picture (its features "
-            f"are {far:.3g} times as far from those of renders as the furthest that count as "
-            "familiar)"
-        )
 
     @_full_precision()
     def _vector(self, picture: object) -> Float64:

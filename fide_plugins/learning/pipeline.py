@@ -46,7 +46,6 @@ FEWEST = 100
 _RENDERING = 0.5  # of a time limit, at most
 _DENSITY = 0.75  # of a time limit, until the emulator is trained, if there is one
 _EMULATOR_RATE = 2e-3
-_AT_A_TIME = 8  # shards that an executor gets
 
 
 def blocks_of(renderer: BatchRenderer, groups: Sequence[Sequence[int]] | None) -> list[list[int]]:
@@ -90,9 +89,8 @@ def has_emulator(emulator: bool | None, blocks: Sequence[Sequence[int]], clutter
 class LearnProgress:
     """What `learn` says of its progress.
 
-    stage: "render", "train", "emulate", "calibrate" or "judge".
-    done, total: renders, passes, or held-out pictures.  A picture calibrates once for each scale
-        that is tried; total is then the most there may be, and calibrating may end before it.
+    stage: "render", "train", "emulate" or "judge".
+    done, total: renders, passes, or held-out pictures.
     held_out: loss after the last pass: negative log-likelihood in nats, or the share of the images'
         variance that the emulator does not explain; None in the other stages.
     """
@@ -119,7 +117,6 @@ class _Plan:
     renders: int
     passes: int
     workers: int
-    executor: object
     seed: int
     blocks: list[list[int]]
     seconds: float | None
@@ -152,7 +149,7 @@ class _Plan:
             emulator, emulated = self._emulator(x, images, folder)
         report = report_of(
             network, density, self._names, failed=failed, emulated=emulated,
-            on_progress=lambda *at: self.on_progress(LearnProgress(*at)),
+            on_picture=lambda *at: self.on_progress(LearnProgress("judge", *at)),
         )  # fmt: skip
         return Model(
             network=network, space=self.renderer.space, shape=self.shape,
@@ -166,7 +163,7 @@ class _Plan:
         store = RenderStore(folder, self.settings, fingerprint_of(self.renderer.source))
         check_images(store, self.renderer, more=bool(store.missing(self.renders)))
         fill(
-            store, self.renderer, self.renders, workers=self.workers, executor=self.executor,
+            store, self.renderer, self.renders, workers=self.workers,
             seconds=self._left(_RENDERING),
             on_progress=lambda n: self.on_progress(LearnProgress("render", n, self.renders)),
         )  # fmt: skip
@@ -264,11 +261,10 @@ def learn(
     renders: int = 100_000,
     size: int = 64,
     time: float | str | None = None,
-    workers: int | None = None,
+    workers: int = 1,
     out: str | os.PathLike[str] | None = None,
     *,
     passes: int = 10,
-    executor: object = None,
     groups: Sequence[Sequence[int]] | None = None,
     augment: str = "photograph",
     emulator: bool | None = None,
@@ -297,16 +293,13 @@ def learn(
         or "1h30m"; None: no limit.  With a limit the result depends on the machine.
     workers
         processes that render; with more than one `render` must be picklable.  0 and 1: in this
-        process.  None, the default: 1, or 8 with an executor.
+        process.
     out
         file of the model.  The renders are kept beside it, in `out`.renders: a call with the same
         arguments goes on where another one was interrupted, and more `renders` add to them.  None,
         the default: nothing is kept.
     passes
         over the renders, at most; training ends earlier where held-out renders say so.
-    executor
-        where to render instead, as for `fit`: "threads", any executor of `concurrent.futures`, or
-        Dask's Client; `workers` says how many shards of 100 renders it gets at a time.
     groups
         exchangeable blocks of axes, such as [[0, 1], [2, 3]], which are learned as a set; []: none
         are exchangeable; None: those of the space.
@@ -333,7 +326,7 @@ def learn(
         or left as they are where renders have no coverage.
     on_progress
         called after every shard of renders, after every pass, and after every held-out picture that
-        calibrates or judges the model.
+        judges the model.
 
     Raises
     ------
@@ -352,8 +345,6 @@ def learn(
     OSError
         a file cannot be read or written.
     """
-    if workers is None:
-        workers = 1 if executor is None else _AT_A_TIME
     _check(renders, size, passes, workers, augment, on_progress)
     seed, seconds = torch_seed(seed), None if time is None else seconds_of("time", time)
     trains_on = resolve_device(device)
@@ -361,7 +352,7 @@ def learn(
     blocks = blocks_of(renderer, groups)
     composed = clutter_of(backgrounds, clutter, seed)
     emulates = has_emulator(emulator, blocks, composed is not None)
-    pool_for(renderer, (1, 1), workers, executor)  # raises where it cannot be sent there
+    pool_for(renderer, (1, 1), workers)  # raises where it cannot be sent there
     _ = renderer.version  # raises for one that is no text
     shape, coverage = renderer.first_shape()
     if composed is not None and not coverage:
@@ -369,7 +360,7 @@ def learn(
     renderer = replace(renderer, shape=shape, coverage=composed is not None and coverage)
     plan = _Plan(
         renderer=renderer, shape=shape, size=small_size(shape, size),
-        renders=renders, passes=passes, workers=workers, executor=executor, seed=seed,
+        renders=renders, passes=passes, workers=workers, seed=seed,
         blocks=blocks, seconds=seconds, start=clock.monotonic(),
         on_progress=on_progress or (lambda progress: None), augment=augment, device=trains_on,
         emulates=emulates, clutter=composed,

@@ -1,23 +1,24 @@
-"""Fills a store of renders, in this process, in several, or on a cluster; counts what fails."""
+"""Fills a store of renders, in this process or in several; counts what fails."""
 
 from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, wait
 from dataclasses import dataclass, field
+from multiprocessing import current_process
 
 import numpy as np
 
 from fide_plugins.errors import FideError, OptionError, RenderError
+from fide_plugins.fitting.processes import Processes
 from fide_plugins.fitting.rendering import Failed, Outcome, Rendered, Task
-from fide_plugins.fitting.workers import InThisProcess, Workers, workers_for
+from fide_plugins.fitting.workers import DAEMON, InThisProcess, Workers
 from fide_plugins.learning.renders import SHARD, BatchRenderer, Pixels, RenderStore, Small
 from fide_plugins.types import Float64
 
 _FEW = 500  # renders that say that a renderer must be mended
-_LOOK = 5.0  # seconds of waiting, after which it is asked whether there still is a cluster
 _MOST_LOST = 10  # single renders in a row that end their worker
 
 
@@ -98,20 +99,25 @@ class _Shards:
         return Rendered(images, time.perf_counter() - start)
 
 
-def pool_for(
-    renderer: BatchRenderer, size: tuple[int, int], workers: int, executor: object
-) -> Workers:
+def pool_for(renderer: BatchRenderer, size: tuple[int, int], workers: int) -> Workers:
     """Where renders of this size (height, width) are made; nothing is started yet.
 
-    workers: processes; 0 and 1: this one.  With an executor it says how many shards that gets at a
-        time, see `fitting.workers.workers_for`.
+    workers: processes; 0 and 1: this one.
 
     Raises OptionError for a renderer that cannot be sent there, and in a daemonic process.
     """
     shards = _Shards(renderer, size)
-    if executor is None and workers <= 1:
+    if workers <= 1:
         return InThisProcess(shards)
-    return workers_for(shards, workers, "processes" if executor is None else executor, None)
+    if current_process().daemon:
+        raise OptionError(f"{DAEMON}; give workers=0")
+    try:
+        return Processes(shards, workers)
+    except Exception as error:  # whatever the user's objects raise when they are pickled
+        raise OptionError(
+            f"{renderer.name} cannot be sent to other processes ({error}): make what it needs "
+            "inside of it, or take workers=1"
+        ) from error
 
 
 def fill(
@@ -120,13 +126,12 @@ def fill(
     renders: int,
     *,
     workers: int = 1,
-    executor: object = None,
     seconds: float | None = None,
     on_progress: Callable[[int], None] = lambda done: None,
 ) -> None:
     """Render what is missing of `renders`.
 
-    workers, executor: see `pool_for`.  A render that ends its worker is one that failed.
+    workers: see `pool_for`.  A render that ends its worker is one that failed.
     seconds: no shard is begun after this time; None: no limit.
     on_progress: called with the number of renders done so far.
 
@@ -137,9 +142,9 @@ def fill(
     missing = store.missing(renders)
     done, tally = renders - SHARD * len(missing), _Tally(renderer.name)
     stop = np.inf if seconds is None else time.monotonic() + seconds
-    pool = pool_for(renderer, store.size, workers, executor)
+    pool = pool_for(renderer, store.size, workers)
     try:
-        for shard, images in _rendered(store, renderer.name, missing, stop, pool, executor):
+        for shard, images in _rendered(store, renderer.name, missing, stop, pool):
             store.write(shard, images)
             tally.add(shard, images)
             if (error := tally.error()) is not None:
@@ -148,8 +153,7 @@ def fill(
             done += SHARD
             on_progress(min(max(done, 0), renders))
     finally:
-        if not _is_lost(executor):  # else nobody is there who could
-            pool.close()
+        pool.close()
 
 
 def _rendered(
@@ -158,7 +162,6 @@ def _rendered(
     missing: Sequence[int],
     stop: float,
     pool: Workers,
-    executor: object,
 ) -> Iterator[tuple[int, list[Small]]]:
     """Shards with their images; one whose worker dies is rendered again, one by one."""
     waiting = deque((shard, list(range(SHARD))) for shard in missing)
@@ -173,8 +176,8 @@ def _rendered(
             found.setdefault(shard, {})
             seeds = store.noise_seeds(shard)
             points = _Points(store.parameters(shard)[rows], [seeds[row] for row in rows])
-            running[_submitted(pool, points)] = shard, rows
-        for task in _done(running, executor):
+            running[pool.submit(points)] = shard, rows
+        for task in wait(running, return_when=FIRST_COMPLETED).done:
             shard, rows = running.pop(task)
             outcome = pool.outcome(task)
             if isinstance(outcome, Rendered):
@@ -193,31 +196,3 @@ def _rendered(
             if len(found[shard]) == SHARD:
                 images = found.pop(shard)
                 yield shard, [images[row] for row in range(SHARD)]
-
-
-def _submitted(pool: Workers, points: _Points) -> Task:
-    try:
-        return pool.submit(points)
-    except Exception as error:  # of the user's executor
-        raise RenderError(
-            f"the executor takes no more renders ({error!r}): give another one, or start the "
-            "cluster again, and go on with what was rendered"
-        ) from error
-
-
-def _is_lost(executor: object) -> bool:
-    """Whether a client of Dask has given up its scheduler: its futures wait for ever."""
-    return getattr(executor, "status", None) == "closed"
-
-
-def _done(running: Collection[Task], executor: object) -> list[Task]:
-    """Those that are done, at least one; RenderError if the scheduler of a cluster is lost."""
-    done = set[Task]()
-    while running and not done:
-        done = wait(running, _LOOK, return_when=FIRST_COMPLETED).done
-        if not done and _is_lost(executor):
-            raise RenderError(
-                "the scheduler of the Dask cluster is lost: start it again, and go on with what "
-                "was rendered"
-            )
-    return list(done)

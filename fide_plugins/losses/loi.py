@@ -25,8 +25,7 @@ The sum is the 1-Wasserstein (earth mover's) distance of the two local histogram
 tones: 1 is the distance between black and white (apart from the smoothing beta beyond the tones).
 
 For speed I_sigma and F are evaluated on grids whose spacing equals their scale, Phi is a formula
-with an error of 2e-4, and windows are cut off at the image's borders and renormalized.  Other than
-Mehta et al. do: chosen pairs of scales, relative to the size of the image, no bins.
+with an error of 2e-4, and windows are cut off at the image's borders and renormalized.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """The `perceptual` loss: multi-scale structure and color, without weights.
 
-The loss compares local structure relative to local contrast at four scales, and coarse colors.  It
-belongs to the family of normalized-gradient and structural-similarity measures.  Averages over
-areas, a lower limit of the contrast, and an estimate of the noise make it robust against the noise
-of Monte Carlo rendering.  The coarse scales give it a slope toward the target from far away.
+Local structure relative to local contrast at four scales, and coarse colors.  Averages over areas,
+a lower limit of the contrast, and an estimate of the noise make it robust against Monte Carlo
+noise.
 
 Definition
 ----------
@@ -27,9 +26,8 @@ than a pixel add almost nothing to |h - h'|^2.  The difference removes the noise
 the loss.  Averages over few pixels do not separate the two well, so below 84 x 84 pixels nothing is
 subtracted.
 
-A regular pattern that alternates from pixel to pixel, as of dithering or halftone, counts as noise,
-too, and hides up to nine tenths of a difference: 0.1 brighter costs 0.040, with a checkerboard of
-amplitude 0.1 on top 0.004.  A search may find that; turn dithering off, or use `loi`.
+A regular pattern that alternates from pixel to pixel, as of dithering, counts as noise, too, and
+hides up to nine tenths of a difference; turn dithering off, or use `loi`.
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
 """Blurring and subsampling in one sparse product: Gaussian means of pixels on a coarser grid.
 
-Sparse products are fast here because windows are short, and because SciPy computes them in the
-calling thread.  For products of this size BLAS starts a thread pool, which costs more than it
-gains, and a hundred times more when other processes occupy the cores.  Sparse products also sum in
-a fixed order, so results do not depend on the rest of the batch.
+SciPy computes sparse products in the calling thread, in a fixed order: BLAS would start threads,
+which cost more than they gain, and results would depend on the rest of the batch.
 """
 
 from __future__ import annotations

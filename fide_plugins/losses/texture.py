@@ -1,12 +1,8 @@
 """Loss `texture`: how differently two pictures are made, wherever their parts are.
 
-Two photographs of one material differ in every pixel: a loss that compares them place by place ends
-at the mean color.  This one compares `statistics` (`encoders.texture`).
-
-How much a statistic differs between two pictures of one texture, and together with which others,
-depends on the texture: there are few waves of low frequency in a picture, so their power is hardly
-known.  The loss weighs by the inverse covariance of statistics over random textures that are like
-the target: they have its smoothed spectrum, random phases and amplitudes, and its colors.
+It compares `statistics` (`encoders.texture`), weighed by the inverse of their covariance over
+random textures that are like the target: they have its smoothed spectrum, random phases and
+amplitudes, and its colors.
 """
 
 from __future__ import annotations

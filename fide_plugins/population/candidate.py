@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -121,7 +122,7 @@ def columns(samples: Sequence[TrainingSample]) -> tuple[Float64, Tensor, Float64
 
 def in_order(samples: Iterable[TrainingSample]) -> list[TrainingSample]:
     """Samples in the order in which they were asked, whatever that in which they were told."""
-    return sorted(samples, key=lambda sample: sample.index)
+    return sorted(samples, key=attrgetter("index"))
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from fide_plugins.proposers.feature_buffer import MOST, for_jacobian
 from fide_plugins.search.cma_es import are_many
 
 if TYPE_CHECKING:
-    from fide_plugins.proposers.forward import ForwardProposer, GaussNewtonSteps
+    from fide_plugins.proposers.forward import GaussNewtonSteps
 
 __all__ = ["Proposer", "channel_subsets", "make_proposer", "make_steps"]
 
@@ -38,8 +38,6 @@ def make_proposer(
     """
     if options.proposer in ("linear", "both"):
         return _linear(options, dim, popsize, encoder, learned=learned)
-    if options.proposer == "forward":
-        return _forward(options, dim, popsize, encoder)
     return _diffusion(options, dim, seed, encoder) if options.has_network else None
 
 
@@ -54,9 +52,10 @@ def make_steps(
     too_many = are_many(dim, popsize) or dim > _MOST_FOR_JACOBIAN
     if options.proposer != "both" or too_many or learned:
         return None
-    from fide_plugins.proposers.forward import GaussNewtonSteps
+    from fide_plugins.proposers.forward import ForwardProposer, GaussNewtonSteps
 
-    return GaussNewtonSteps(_forward(options, dim, popsize, encoder))
+    channels = channel_subsets(options, encoder)[0]
+    return GaussNewtonSteps(ForwardProposer(dim, for_jacobian(dim), channels, minimum=popsize))
 
 
 def _linear(
@@ -78,15 +77,7 @@ def _linear(
     )
 
 
-def _forward(options: Options, dim: int, popsize: int, encoder: PatchEncoder) -> ForwardProposer:
-    from fide_plugins.proposers.forward import ForwardProposer
-
-    channels = channel_subsets(options, encoder)[0]
-    return ForwardProposer(dim, for_jacobian(dim), channels, minimum=popsize)
-
-
 def _diffusion(options: Options, dim: int, seed: int, encoder: PatchEncoder) -> Proposer:
-    from fide_plugins.denoiser.sampling import evenly
     from fide_plugins.proposers.diffusion import DiffusionProposer
 
     o = options.network
@@ -97,5 +88,5 @@ def _diffusion(options: Options, dim: int, seed: int, encoder: PatchEncoder) -> 
         epochs=o.epochs,
         learning_rate=o.learning_rate,
         batch_size=o.batch_size,
-        schedule=o.schedule if o.steps is None else evenly(o.steps),
+        schedule=o.schedule,
     )

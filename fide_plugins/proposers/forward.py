@@ -6,7 +6,6 @@ minus those of b, and e* (f,) those of the target: the residual.  J (d, f): e ~ 
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -16,7 +15,6 @@ import torch
 from torch import Tensor
 
 from fide_plugins.population.candidate import TrainingSample, columns, in_order
-from fide_plugins.proposers.base import Proposer
 from fide_plugins.proposers.feature_buffer import FeatureBuffer, for_jacobian
 from fide_plugins.runtime.schema import (
     Schema,
@@ -145,7 +143,7 @@ _MOST_BYTES = 2**28  # of features
 
 
 @dataclass(eq=False)
-class ForwardProposer(Proposer):
+class ForwardProposer:
     """Gauss-Newton steps from the best candidate, with a Jacobian fitted to evaluated candidates.
 
     x_new = x_b + std * (J J^T + lambda)^-1 (J e* + g lambda (z - x_b) / std)
@@ -180,8 +178,6 @@ class ForwardProposer(Proposer):
     kept: float = 1.0
     select: bool = True
 
-    lazy = True
-
     def __post_init__(self) -> None:
         self.most = self.capacity or for_jacobian(self.dim)
         self.forget()
@@ -205,7 +201,6 @@ class ForwardProposer(Proposer):
         if len(x) > n:
             kept = best_and_latest(losses, n)
             x, tokens, losses = x[kept], tokens[torch.from_numpy(kept)], losses[kept]
-        self._buffer = copy.copy(self._buffer)  # that of a copy stays
         self._buffer.add(tokens, n + len(x))
         self._x = np.concatenate([self._x, x])
         self._losses = np.concatenate([self._losses, losses])

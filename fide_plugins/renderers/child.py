@@ -60,15 +60,13 @@ def run(command: Sequence[str], log: Path, timeout: float | None) -> Ended:
             if child.returncode is None or (watch.is_late and leads):
                 _stop(child, leads)
             _RUNNING.discard(child)
-            watch.thread.join()
+            if watch.thread.ident is not None:  # a signal may have come before its start
+                watch.thread.join()
     return Ended(None if watch.is_late else code, tail_of(log))
 
 
 class _Watch:
-    """A thread that stops a program after its time, and keeps its output short.
-
-    A program that prints in a loop would fill the disk.
-    """
+    """A thread that stops a program after its time, and keeps its output short."""
 
     def __init__(
         self, child: subprocess.Popen[bytes], output: IO[bytes], timeout: float | None, leads: bool

@@ -155,10 +155,7 @@ class _Failed(Exception):
 
 
 def _read(out: Path, raw: bool) -> Pixels:
-    """The image that was written: the file `out`, or the only one in its folder.
-
-    Some programs put a number or an ending after the name they are given.
-    """
+    """The image that was written: the file `out`, or the only one in its folder."""
     files = [out] if out.exists() else [path for path in out.parent.glob("*") if path.is_file()]
     if len(files) != 1:
         names = ", ".join(sorted(path.name for path in files))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager
 
 import torch
 from torch import Tensor, nn
@@ -40,27 +40,6 @@ def resolve_device(
     if resolved.type == "cuda" and resolved.index is None:  # each thread has its own current device
         return torch.device("cuda", torch.cuda.current_device())
     return resolved
-
-
-def on_current_stream(device: torch.device) -> Callable[[], AbstractContextManager[None]]:
-    """Context in which another thread computes on the current CUDA stream of this thread.
-
-    Its work starts after the work that this thread has queued; at the end the context waits for
-    the stream.
-    """
-    if device.type != "cuda":
-        return nullcontext
-    stream = torch.cuda.current_stream(device)
-
-    @contextmanager
-    def same_stream() -> Iterator[None]:
-        with torch.cuda.device(device), torch.cuda.stream(stream):
-            try:
-                yield
-            finally:
-                stream.synchronize()
-
-    return same_stream
 
 
 @contextmanager

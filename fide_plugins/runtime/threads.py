@@ -1,4 +1,4 @@
-"""Threads: how many compute, locks, work in the background, and what a fork leaves of them.
+"""Threads: how many compute, locks, and what a fork leaves of them.
 
 Most of what FIDE computes is small, and several threads do it more slowly than one.  So the small
 parts compute in one thread, within `one_thread`; networks, and functions of the user's, in as many
@@ -7,8 +7,7 @@ bit, whatever number of threads is set.  OpenMP and MKL have one setting for eac
 has one for the process: the first thread that enters limits it, the last one that leaves restores.
 
 A forked process has one thread only.  OpenMP's would be waited for for ever, so `user_threads` is
-one thread there; a `Lock` is free there; `Background` work is waited for before the fork, and so
-are the ends of its threads: MKL gives their memory back then, under a lock that nobody would open.
+one thread there, and a `Lock` is free.
 """
 
 from __future__ import annotations
@@ -17,7 +16,6 @@ import ctypes
 import os
 import sys
 import threading
-import time
 from collections.abc import Callable
 from contextlib import ContextDecorator, suppress
 from functools import partial, wraps
@@ -244,100 +242,10 @@ def one_at_a_time(method: F) -> F:
     return cast(F, locked)
 
 
-# -- work in the background ------------------------------------------------------------------------
-
-
-class Background:
-    """Runs one piece of work at a time in a background thread."""
-
-    def __init__(self) -> None:
-        self._work: tuple[threading.Thread, threading.Event] | None = None  # set when it is done
-        self._error: BaseException | None = None
-        with _START:
-            _BACKGROUNDS.add(self)
-
-    @property
-    def busy(self) -> bool:
-        """Whether work is running."""
-        work = self._work
-        return work is not None and not work[1].is_set()
-
-    def start(self, work: Callable[[], object], what: str) -> None:
-        """Start `work` when the previous work is done; what: its description, for errors.
-
-        Raises what the previous work raised; the new work has started nevertheless.
-        """
-        self.join()
-        error, self._error = self._error, None
-        done = threading.Event()
-        thread = threading.Thread(target=self._run, args=(work, what, done), name=what)
-        with _START:  # no process is forked between the two
-            thread.start()
-            self._work = thread, done
-        if error is not None:
-            raise error
-
-    def wait(self) -> None:
-        """Return when no work is running; raises, once, what the work raised."""
-        self.join()
-        error, self._error = self._error, None
-        if error is not None:
-            raise error
-
-    def join(self) -> None:
-        """Return when no work is running; keeps what the work raised for `wait`."""
-        work = self._work
-        if work is None or work[0] is threading.current_thread():
-            return
-        work[1].wait()  # Ctrl-C may interrupt it; `Thread.join` would take the thread for dead then
-        work[0].join()
-        with _START:
-            if self._work is work:  # no other thread has started new work meanwhile
-                self._work = None
-
-    def _run(self, work: Callable[[], object], what: str, done: threading.Event) -> None:
-        before = _threads()
-        try:
-            work()
-        except BaseException as error:
-            error.add_note(f"raised in the background, by {what}")
-            self._error = error
-        finally:
-            now = _threads()
-            _ENDING.intersection_update(now)
-            _ENDING.update(now - before, {str(threading.get_native_id())})
-            done.set()
-
-
-def _threads() -> set[str]:
-    """The system's names of all threads of this process; none where it does not list them."""
-    with suppress(OSError):
-        return set(os.listdir("/proc/self/task"))
-    return set()
-
-
-_START = threading.RLock()  # held when work starts, and while the process forks
-_BACKGROUNDS: WeakSet[Background] = WeakSet()
-_ENDING: set[str] = set()  # threads of work that is done, and what others made meanwhile
-_EXIT = 0.5  # seconds that they get; they need microseconds, on a busy machine milliseconds
-
-
 # -- forks -----------------------------------------------------------------------------------------
 
 
-def _before_fork() -> None:
-    _START.acquire()  # no work starts until the fork is over
-    for background in list(_BACKGROUNDS):
-        background.join()
-    until = time.monotonic() + _EXIT
-    while _ENDING & _threads() and time.monotonic() < until:
-        time.sleep(1e-4)
-    _ENDING.clear()
-
-
 def _after_fork_in_child() -> None:
-    global _START
-    _START = threading.RLock()  # threads that do not exist here may wait for the parent's
     for lock in _LOCKS:
         lock.renew()
     _PROCESS.lock, _PROCESS.forked = threading.Lock(), True
@@ -347,8 +255,4 @@ def _after_fork_in_child() -> None:
 
 
 if hasattr(os, "register_at_fork"):  # not on Windows, which has no fork
-    os.register_at_fork(
-        before=_before_fork,
-        after_in_parent=lambda: _START.release(),
-        after_in_child=_after_fork_in_child,
-    )
+    os.register_at_fork(after_in_child=_after_fork_in_child)

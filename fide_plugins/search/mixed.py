@@ -6,14 +6,14 @@ point x of the cube that is rendered.  Without such axes x is `into(z)`, to the 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import ClassVar, Protocol
+from typing import ClassVar
 
 import numpy as np
 from scipy.special import ndtr, ndtri
 
 from fide_plugins.runtime.schema import Schema, Stateful, array
 from fide_plugins.search.cma_es import CMAES
+from fide_plugins.space.layout import Layout
 from fide_plugins.types import Float64, Mask
 
 
@@ -119,30 +119,7 @@ _WIDE = 0.3  # standard deviation on an axis with cells where nothing is known; 
 _USUAL = 1 / 6  # that on other axes
 
 
-class AxisLayout(Protocol):
-    """What is discrete and periodic in the cube; `fide_plugins.space.layout.Layout` is one.
-
-    periodic: (d,), axes that wrap around.
-    choices: blocks of axes of which the largest coordinate decides.
-    discrete: (d,), axes on which many points stand for one value.
-    """
-
-    @property
-    def dim(self) -> int: ...  # noqa: D102
-    @property
-    def periodic(self) -> Mask: ...  # noqa: D102
-    @property
-    def choices(self) -> Sequence[slice]: ...  # noqa: D102
-    @property
-    def discrete(self) -> Mask: ...  # noqa: D102
-    def snap(self, X: Float64) -> Float64:
-        """Put discrete coordinates of (n, d), which may leave the cube, in the middle of cells."""
-
-    def cells(self, x: Float64) -> tuple[Float64, Float64]:
-        """Where the cell of each coordinate of x (d,) begins and ends; -inf, inf for none."""
-
-
-def periodic_axes(layout: AxisLayout | None) -> Mask | None:
+def periodic_axes(layout: Layout | None) -> Mask | None:
     """(d,), axes that wrap around; None where none does."""
     return None if layout is None or not layout.periodic.any() else layout.periodic
 
@@ -155,7 +132,7 @@ class Mixed(Stateful):
 
     SCHEMA: ClassVar[dict[str, Schema]] = {"A": array("axes", low=1e-30, high=1e30)}
 
-    def __init__(self, layout: AxisLayout | None) -> None:
+    def __init__(self, layout: Layout | None) -> None:
         self.layout = layout
         self._periodic = periodic_axes(layout)
         self._discrete = None if layout is None or not layout.discrete.any() else layout.discrete

@@ -16,8 +16,9 @@ from fide_plugins.options import Options
 from fide_plugins.population import Candidate, mirrored_pair, search_columns
 from fide_plugins.runtime.schema import Schema, Sides, Stateful, anything, each, real, side
 from fide_plugins.search.cma_es import CMAES
-from fide_plugins.search.mixed import AxisLayout, Mixed
+from fide_plugins.search.mixed import Mixed
 from fide_plugins.search.moves import Start
+from fide_plugins.space.layout import Layout
 from fide_plugins.types import Float64
 
 if TYPE_CHECKING:
@@ -133,7 +134,7 @@ class Setting:
     popsize: int
     sigma0: Float64
     options: Options
-    layout: AxisLayout | None = None
+    layout: Layout | None = None
     validity: Validity | None = None
 
     def valid_start(self, start: Start, number: int) -> Start:

@@ -33,13 +33,8 @@ from fide_plugins.runtime.schema import (
 )
 from fide_plugins.search.descents import Descents
 from fide_plugins.search.exchangeability import Exchangeability
-from fide_plugins.search.hypotheses import (
-    AFTER_DESCENT,
-    Hypotheses,
-    Resample,
-    probabilities,
-)
-from fide_plugins.search.mixed import AxisLayout, Mixed
+from fide_plugins.search.hypotheses import AFTER_DESCENT, Hypotheses, Resample, probabilities
+from fide_plugins.search.mixed import Mixed
 from fide_plugins.search.moves import (
     ChangeValue,
     Coarsen,
@@ -55,6 +50,7 @@ from fide_plugins.search.moves import (
     Start,
 )
 from fide_plugins.search.scene import Axes, Optima, Removal, Sensitivity, Values, changed
+from fide_plugins.space.layout import Layout
 from fide_plugins.types import Float64, Posterior
 
 _KEEP = 0.85  # of what is known, at each outcome of the same move
@@ -150,7 +146,7 @@ class MovePolicy:
         channels: int | None,
         seed: int,
         groups: Sequence[Sequence[int]] | None = None,
-        layout: AxisLayout | None = None,
+        layout: Layout | None = None,
         posterior: Posterior | None = None,
         *,
         descends: bool = False,
@@ -273,7 +269,7 @@ class MovePolicy:
         known, incumbent = self.known, self.known.incumbent
         left = incumbent if self.move is not None and self._the_move.from_incumbent else None
         apart = left is None or known.began_apart(self.start.mean, found.x)
-        best = known.optima.note(found, known.exchangeability.distance, from_apart=apart)
+        best = known.optima.note(found, known.exchangeability.distance, began_apart=apart)
         if left is not None:
             self._choice.note(self._the_move.name, _gain(left.loss, found.loss), evaluations)
             if found.loss >= left.loss:

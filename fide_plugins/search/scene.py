@@ -25,7 +25,8 @@ from fide_plugins.runtime.schema import (
     whole,
 )
 from fide_plugins.search import mixed
-from fide_plugins.search.mixed import AxisLayout, periodic_axes
+from fide_plugins.search.mixed import periodic_axes
+from fide_plugins.space.layout import Layout
 from fide_plugins.types import Float64, Indices
 
 
@@ -40,7 +41,7 @@ class Axes:
     axes_of: axes of each parameter.
     """
 
-    def __init__(self, dim: int, layout: AxisLayout | None = None) -> None:
+    def __init__(self, dim: int, layout: Layout | None = None) -> None:
         self.dim = dim
         self.periodic = periodic_axes(layout)
         first: Indices = np.arange(dim)  # axis of the parameter of each axis
@@ -91,7 +92,7 @@ class Values(Stateful):
 
     SCHEMA: ClassVar[dict[str, Schema]] = {"searched": array("m", "discrete", low=0.0, high=1.0)}
 
-    def __init__(self, axes: Axes | None = None, layout: AxisLayout | None = None) -> None:
+    def __init__(self, axes: Axes | None = None, layout: Layout | None = None) -> None:
         self._axes, self._layout = axes, layout
         self.discrete = np.zeros(1, bool) if layout is None else layout.discrete
         self.forget()
@@ -377,19 +378,19 @@ class Optima:
         self.forgotten = 0
         self._descents = 0  # new ones since the best optimum was found
 
-    def note(self, found: TrainingSample, distance: Distance, *, from_apart: bool = True) -> bool:
+    def note(self, found: TrainingSample, distance: Distance, *, began_apart: bool = True) -> bool:
         """Note where a search ended; returns whether that is the best optimum so far.
 
         distance: of two points (d,), in units of the unit cube.
-        from_apart: whether the search had begun apart from there.
+        began_apart: whether the search had begun apart from there.
         """
         best = not self.all or found.loss < self.all[0].sample.loss
         if best:
             self._descents = 0
         close = [o for o in self.all if distance(o.sample.x, found.x) < APART]
-        searches = int(from_apart) + sum(optimum.searches for optimum in close)
+        searches = int(began_apart) + sum(optimum.searches for optimum in close)
         if close and close[0].sample.loss <= found.loss:
-            close[0].searches += int(from_apart)
+            close[0].searches += int(began_apart)
             return False
         self.all = [optimum for optimum in self.all if optimum not in close]
         self.all.append(Optimum(found, searches=searches))

@@ -13,9 +13,7 @@ Choice of 2              1       0 or 1; two equal cells
 Choice of 1              0       a constant
 =======================  ======  ==================================================================
 
-A choice has one axis a value because its values have no order: on one axis the first value would
-be a neighbor of the second and far from the third, and a search could reach the third only through
-the second.
+A choice has one axis a value because its values have no order.
 """
 
 from __future__ import annotations

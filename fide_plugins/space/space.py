@@ -1,33 +1,41 @@
-"""A space of named parameters: dictionaries of physical values <-> points of the unit cube."""
+"""A space of named parameters: dictionaries of physical values <-> points of the unit cube.
+
+As plain data, for JSON and TOML:
+
+    {"azimuth": {"type": "float", "low": -60.0, "high": 60.0, "unit": "deg", "periodic": true},
+     "floor": {"type": "choice", "values": ["checker", "wood"]},
+     "beads": {"repeat": 6, "x": {"type": "float", "low": 0.0, "high": 1.0}}}
+
+What has a key besides tables and "repeat" is a parameter, all else is a group.  Without a "type" it
+is a choice if it has "values", and else a float.  Keys that are as by default are left out.
+"""
 
 from __future__ import annotations
 
 import os
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Self
+from dataclasses import fields
+from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
 
 from fide_plugins.errors import SpaceError, did_you_mean
 from fide_plugins.space.constraints import Expression
-from fide_plugins.space.group import (
-    Constant,
-    Group,
-    Leaf,
-    Member,
-    Repeated,
-    check_members,
-    leaves,
-)
-from fide_plugins.space.kinds import Kind
+from fide_plugins.space.kinds import Choice, Float, Int, Kind
 from fide_plugins.space.layout import Layout
 from fide_plugins.types import Float64, Mask
-from fide_plugins.validation.points import as_point, as_points
+from fide_plugins.validation.points import as_point, as_points, as_whole
 
-__all__ = ["Params", "Space"]
+__all__ = ["Group", "Leaf", "Member", "Params", "Repeated", "Space"]
 
 Params = dict[str, Any]
 
+_KINDS: dict[str, type[Kind]] = {kind.type: kind for kind in (Float, Int, Choice)}
+_PLAIN = (str, int, float, bool, type(None))
+_MOST_BYTES = 2**24  # of a file: 200,000 parameters
+_MOST_COPIES = 100_000  # of a group
+_IN_FILES = ("repeat", "type")  # keys of the file form
 _CONSTRAINTS = "constraints"
 _NO_PARAMETER = (
     "no parameter may be called 'constraints', which are conditions on the parameters: call it "
@@ -35,7 +43,134 @@ _NO_PARAMETER = (
 )
 
 
-class Space(Constant):
+class _Constant:
+    """What cannot be changed, and is equal where its kind and its `_key` are."""
+
+    _key: Any
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, type(self)) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise AttributeError(
+            f"a {type(self).__name__} cannot be changed; make another one with a new {name}"
+        )
+
+
+class Group(_Constant):
+    """Parameters that belong to one thing: ``Group(x=Float(0, 1), y=Float(0, 1))``.
+
+    ``6 * Group(...)`` are six things of one kind, which may change places: a list of six
+    dictionaries when decoded.  A group may hold groups.
+
+    named: a kind of parameter for each name, as for `Space`.
+    members: the same as one dictionary.
+
+    Raises SpaceError (a ValueError).
+    """
+
+    members: dict[str, Member]
+
+    def __init__(self, members: Mapping[str, Member] | None = None, /, **named: Member) -> None:
+        checked = _check_members("Group", members, named)
+        for name in _IN_FILES:
+            if name in checked:
+                raise SpaceError(
+                    f"no member of a Group may be called {name!r}, which has a meaning in files; "
+                    f"call it {name}_"
+                )
+        self.__dict__.update(members=checked, _key=tuple(checked.items()))
+
+    def __mul__(self, times: int) -> Repeated:
+        return Repeated(self, times)
+
+    __rmul__ = __mul__
+
+    def __repr__(self) -> str:
+        return f"Group({', '.join(f'{n}={m!r}' for n, m in self.members.items())})"
+
+
+class Repeated(_Constant):
+    """Several things of one kind, ``times * group``."""
+
+    group: Group
+    times: int
+
+    def __init__(self, group: Group, times: int) -> None:
+        number = as_whole(times) or 0
+        if not 1 <= number <= _MOST_COPIES:
+            raise SpaceError(
+                f"a Group may be repeated 1 to {_MOST_COPIES} times, not {times!r}; write "
+                "6 * Group(...), in a file repeat = 6"
+            )
+        if any(leaf.block for leaf in _leaves_of(group.members)):
+            raise SpaceError(
+                f"a repeated Group cannot hold another repeated Group, as {group!r} does; write "
+                "the inner ones under names of their own"
+            )
+        self.__dict__.update(group=group, times=number, _key=(number, group))
+
+    def __repr__(self) -> str:
+        return f"{self.times} * {self.group!r}"
+
+
+Member: TypeAlias = Kind | Group | Repeated
+
+
+class Leaf(NamedTuple):
+    """One parameter of a space.
+
+    name: flat, such as "beads[2].x".
+    block: (name of the repeated group, number of the copy), or None.
+    """
+
+    name: str
+    kind: Kind
+    block: tuple[str, int] | None
+
+
+def _check_members(owner: str, members: object, named: Mapping[str, object]) -> dict[str, Member]:
+    """Members by name; SpaceError if there are none, or names or kinds are wrong."""
+    if members is not None and not isinstance(members, Mapping):
+        raise SpaceError(f"{owner} takes names: {owner}(x=Float(0, 1)), not {members!r}")
+    given = {**(members or {}), **named}
+    if not given or len(given) < len(members or {}) + len(named):
+        raise SpaceError(
+            f"{owner} needs at least one parameter, and each of them once, not "
+            f"{[*(members or {}), *named]}; write {owner}(x=Float(0, 1))"
+        )
+    for name, member in given.items():
+        if not isinstance(name, str) or not name.isidentifier():
+            raise SpaceError(
+                f"the name of a parameter must be an identifier (letters, digits, _), not {name!r}"
+            )
+        if not isinstance(member, Float | Int | Choice | Group | Repeated):
+            raise SpaceError(
+                f"parameter {name!r} must be a Float, Int, Choice or Group, such as Float(0, 1), "
+                f"not {member!r}"
+            )
+    return given
+
+
+def _leaves_of(
+    members: Mapping[str, Member], prefix: str = "", block: tuple[str, int] | None = None
+) -> Iterator[Leaf]:
+    """All parameters below, in order."""
+    for key, member in members.items():
+        name = prefix + key
+        if isinstance(member, Group):
+            yield from _leaves_of(member.members, f"{name}.", block)
+        elif isinstance(member, Repeated):
+            for i in range(member.times):
+                yield from _leaves_of(member.group.members, f"{name}[{i}].", (name, i))
+        else:
+            yield Leaf(name, member, block)
+
+
+class Space(_Constant):
     """Parameters by name, each a `Float`, `Int`, `Choice` or `Group` of such.
 
     >>> from fide_plugins import Choice, Float, Group, Int, Space
@@ -75,8 +210,8 @@ class Space(Constant):
         expressions = _expressions(constraints)
         if isinstance(members, Mapping) and _CONSTRAINTS in members:
             raise SpaceError(_NO_PARAMETER)
-        checked = check_members("Space", members, named)
-        found = list(leaves(checked))
+        checked = _check_members("Space", members, named)
+        found = list(_leaves_of(checked))
         layout = Layout([leaf.kind for leaf in found])
         if layout.dim == 0:
             raise SpaceError(
@@ -197,9 +332,7 @@ class Space(Constant):
 
         Raises SpaceError if a Choice has values that JSON does not have.
         """
-        from fide_plugins.space import files
-
-        data = files.to_dict(self._members)
+        data = _as_data(self._members)
         return data | ({_CONSTRAINTS: self.constraints} if self._expressions else {})
 
     @classmethod
@@ -208,33 +341,21 @@ class Space(Constant):
 
         Raises SpaceError, naming table and key.
         """
-        from fide_plugins.space import files
-
         constraints = data.get(_CONSTRAINTS) if isinstance(data, Mapping) else None
         if constraints is None:
-            return cls(files.from_dict(data))
+            return cls(_members_from(data))
         _expressions(constraints)  # it may be meant as a parameter, perhaps the only one
         members = {key: value for key, value in data.items() if key != _CONSTRAINTS}
-        return cls(files.from_dict(members), constraints=constraints)
-
-    def to_toml(self) -> str:
-        """Text of a TOML file that `read` reads."""
-        from fide_plugins.space import files
-
-        return files.to_toml(self.to_dict())
+        return cls(_members_from(members), constraints=constraints)
 
     @classmethod
     def from_toml(cls, text: str) -> Self:
         """Space of the text of a TOML file; raises as `read`."""
-        from fide_plugins.space import files
-
-        return cls.from_dict(files.parse_toml(text))
-
-    def write(self, path: str | os.PathLike[str]) -> None:
-        """Write a TOML file at `path`; raises OSError if that cannot be done."""
-        from fide_plugins.runtime.files import write_text
-
-        write_text(path, self.to_toml())
+        try:
+            data = tomllib.loads(text)
+        except (ValueError, RecursionError) as error:  # also a number of 5,000 digits
+            raise SpaceError(f"no TOML: {error}; write [name] and below it key = value") from None
+        return cls.from_dict(data)
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Self:
@@ -242,10 +363,17 @@ class Space(Constant):
 
         Raises SpaceError, naming file, table and key, and OSError if the file cannot be read.
         """
-        from fide_plugins.space import files
-
+        with open(path, "rb") as file:
+            data = file.read(_MOST_BYTES + 1)
         try:
-            return cls.from_dict(files.read_toml(path))
+            if len(data) > _MOST_BYTES:
+                raise SpaceError(
+                    f"it has more than {_MOST_BYTES:,} bytes; name the file of a space"
+                )
+            return cls.from_toml(data.decode("utf-8-sig"))  # Windows begins files with a mark
+        except UnicodeDecodeError as error:
+            why = f"{os.fspath(path)}: no TOML: {error}; save it as UTF-8"
+            raise SpaceError(why) from None
         except SpaceError as error:
             raise SpaceError(f"{os.fspath(path)}: {error}") from None
 
@@ -313,3 +441,97 @@ def _numbers(members: Mapping[str, Member], params: object, prefix: str) -> Iter
                 yield from _numbers(member.group.members, each, f"{name}[{i}].")
         else:
             yield member.number(name, value)
+
+
+# -- plain data ------------------------------------------------------------------------------------
+
+
+def _as_data(members: Mapping[str, Member], prefix: str = "") -> dict[str, Any]:
+    """Plain data of the members of a space or group."""
+    return {key: _data(prefix + key, member) for key, member in members.items()}
+
+
+def _data(name: str, member: Member) -> dict[str, Any]:
+    if isinstance(member, Repeated):
+        return {"repeat": member.times, **_as_data(member.group.members, f"{name}.")}
+    if isinstance(member, Group):
+        return _as_data(member.members, f"{name}.")
+    if isinstance(member, Choice):
+        values = [_plain(f"parameter {name!r}", value) for value in member.values]
+        return {"type": "choice", "values": values}
+    given = {each.name: getattr(member, each.name) for each in fields(member)}
+    defaults = {each.name: each.default for each in fields(member)}
+    return {"type": member.type} | {k: v for k, v in given.items() if v != defaults[k]}
+
+
+def _plain(where: str, value: Any) -> Any:
+    """A value of a choice; SpaceError for one that files cannot hold."""
+    value = value.item() if isinstance(value, np.generic) else value
+    if type(value) not in _PLAIN:
+        raise SpaceError(
+            f"{where} has the value {value!r}, which files cannot hold; use texts and look the "
+            "objects up by them"
+        )
+    return value
+
+
+def _members_from(data: object) -> dict[str, Member]:
+    """Members of a space; SpaceError naming table and key if it is none."""
+    if not isinstance(data, Mapping) or not data:
+        raise SpaceError(
+            f"a space must be a dictionary of parameters, at least one, not {data!r}; write a "
+            "table for each, such as [x] with low = 0, high = 1"
+        )
+    try:
+        return _members_of(data, "")
+    except RecursionError:
+        raise SpaceError("tables are nested too deeply; write fewer groups in each other") from None
+
+
+def _members_of(data: Mapping[str, Any], prefix: str) -> dict[str, Member]:
+    return {key: _member(f"{prefix}{key}", value) for key, value in data.items()}
+
+
+def _member(table: str, data: object) -> Member:
+    try:
+        if not isinstance(data, Mapping) or not data:
+            raise SpaceError(
+                f"must be a table, not {data!r}; write [{table}] and below it low = 0, high = 1"
+            )
+        own = {key for key, value in data.items() if not isinstance(value, Mapping)}
+        return _parameter(data) if own - {"repeat"} else _group(table, data)
+    except SpaceError as error:
+        if str(error).startswith("["):  # an inner table has said where
+            raise
+        raise SpaceError(f"[{table}] {error}") from None
+
+
+def _parameter(data: Mapping[str, Any]) -> Kind:
+    name = data.get("type", "choice" if "values" in data else "float")
+    if not isinstance(name, str) or name not in _KINDS:
+        hint = did_you_mean(name, _KINDS)
+        raise SpaceError(f"type: must be one of {', '.join(_KINDS)}, not {name!r}{hint}")
+    kind = _KINDS[name]
+    known = ["type", *(each.name for each in fields(kind))]
+    for key in data:
+        if key not in known:
+            hint = did_you_mean(key, known)
+            raise SpaceError(f"{key}: unknown key; {name} has {', '.join(known)}{hint}")
+    for key in ("values",) if kind is Choice else ("low", "high"):
+        if key not in data:
+            raise SpaceError(f"{key}: missing; write {key} = ... below it")
+    values = {key: value for key, value in data.items() if key != "type"}
+    if kind is not Choice:
+        return kind(**values)
+    listed = values["values"]
+    if not isinstance(listed, list | tuple):
+        raise SpaceError(f'values: must be a list such as ["a", "b"], not {listed!r}')
+    return Choice(*(_plain("values:", value) for value in listed))
+
+
+def _group(table: str, data: Mapping[str, Any]) -> Group | Repeated:
+    members = {key: value for key, value in data.items() if key != "repeat"}
+    if not members:
+        raise SpaceError(f"is empty; write low = 0, high = 1 below it, or tables [{table}.NAME]")
+    group = Group(_members_of(members, f"{table}."))
+    return group * data["repeat"] if "repeat" in data else group

@@ -19,7 +19,6 @@ from fide_plugins.uncertainty.local_fit import (
     WIDER,
     FitToTarget,
     deviations,
-    fit_from_afar,
     fit_locally,
     noise_of,
     scale_of,
@@ -31,7 +30,6 @@ from fide_plugins.uncertainty.samples import (
     features_of,
     floored,
     independent,
-    less_alike,
     most_alike,
     surroundings,
 )
@@ -135,20 +133,6 @@ class OtherValue(NamedTuple):
     own: Indices
 
 
-class Pairs(NamedTuple):
-    """What is known of the samples of an `OtherValue`.
-
-    u, own_u: (n, p), steps from the solution.  e, own_e: (n, f'), features.
-    own: (n,), rows of the own ones.
-    """
-
-    u: Float64
-    e: Float64
-    own_u: Float64
-    own_e: Float64
-    own: Indices
-
-
 def other_values(around: Surroundings, axes: Axes) -> list[OtherValue]:
     """Those that enough samples have."""
     found = []
@@ -172,34 +156,36 @@ def _nearest(own: Indices, rows: Indices) -> Indices:
     return np.where(rows - own[before] <= own[after] - rows, own[before], own[after])
 
 
-def looks_alike(model: FitToTarget, pairs: Pairs) -> bool:
+def looks_alike(
+    model: FitToTarget, around: Surroundings, other: OtherValue, e: Float64, own_e: Float64
+) -> bool:
     """Whether the other value may be the true one.
 
     Unless it leaves more of the target unexplained, by the mean difference of pairs of samples.
+
+    e, own_e: (n, f'), features of its samples, and of the own ones.
     """
     fit, target, f = model.fit, model.target, model.f
-    missing = fit.misses(pairs.u) + fit.misses(pairs.own_u)
+    u, own_u = around.steps(other.rows), around.steps(other.own)
+    missing = fit.misses(u) + fit.misses(own_u)
     near = missing <= 2 * max(_NEAR * fit.s, _SMALL * float(target @ target))
     if near.sum() < _FEWEST:
         return False
     weights = np.where(near, 1 / missing, 0.0)
     weights = weights / weights.sum()
-    changes = pairs.e - pairs.own_e - (pairs.u - pairs.own_u) @ fit.J  # (n, f')
+    changes = e - own_e - (u - own_u) @ fit.J  # (n, f')
     delta = weights @ changes
     missed = float(weights @ np.square(changes - delta).sum(axis=1)) / 2  # by one of the two
-    of_own = np.bincount(np.unique(pairs.own, return_inverse=True)[1], weights)
+    of_own = np.bincount(np.unique(other.own, return_inverse=True)[1], weights)
     error = missed * float(weights @ weights + of_own @ of_own)  # energy, over all features
-    own, other = (unexplained(fit, r) for r in (model.residual, model.residual - delta))
-    spread = error * (2 / f) ** 0.5 + 2 * float(np.linalg.norm(own)) * (error / f) ** 0.5
-    more = float(other @ other) - error - float(own @ own)
+    left, there = (unexplained(fit, r) for r in (model.residual, model.residual - delta))
+    spread = error * (2 / f) ** 0.5 + 2 * float(np.linalg.norm(left)) * (error / f) ** 0.5
+    more = float(there @ there) - error - float(left @ left)
     alike: bool = more <= _ODDS * scale_of(model) + _SPREAD * spread
     return alike
 
 
 # -- the estimate ----------------------------------------------------------------------------------
-
-
-_PARTS = (0.5, 0.65, 0.8)  # of the way, in logarithms, to the farthest features of the run
 
 
 @dataclass(eq=False)
@@ -259,11 +245,11 @@ class LocalEstimate:
         missed = misses_of(around, target)
         near = most_alike(around, float(missed[around.at]))  # 1
         others = other_values(around, self.axes)
-        model, pairs = self._fit(around, target, near, others)  # 2
+        model, features = self._fit(around, target, near, others)  # 2
         as_far = limits(around, missed, model, deviations(model))  # 3
         std[around.free] = deviations(model._replace(as_far=as_far))
-        for other, pair in zip(others, pairs, strict=True):  # 4
-            ambiguous[other.axes] |= looks_alike(model, pair)
+        for other, e, own_e in zip(others, features[::2], features[1::2], strict=True):  # 4
+            ambiguous[other.axes] |= looks_alike(model, around, other, e, own_e)
         ambiguous |= self._differs(around, explain_as_well(around, missed, model))
         return Estimated(std, ambiguous)
 
@@ -274,29 +260,18 @@ class LocalEstimate:
 
     def _fit(
         self, around: Surroundings, target: Float64, near: Indices, others: Sequence[OtherValue]
-    ) -> tuple[FitToTarget, list[Pairs]]:
-        """The linear model of the samples `near` (m,), and the pairs of each other value.
+    ) -> tuple[FitToTarget, list[Float64]]:
+        """The linear model of the samples `near` (m,); features of other values and own ones.
 
         target: (f,), features of the target.
 
         The features of all of them, and of the target, are turned into few at once.
         """
-        wide = less_alike(around, near)
-        parts = [near, wide, *(rows for other in others for rows in (other.rows, other.own))]
+        parts = [near, *(rows for other in others for rows in (other.rows, other.own))]
         f = independent(target, len(self.target), around.features)
         every, target = compressed(around.features[np.concatenate(parts)], target)
         ends = np.cumsum([len(rows) for rows in parts])
-        e, of_wide, *of_others = np.split(every, ends[:-1])
+        e, *of_others = np.split(every, ends[:-1])
         fit = fit_locally(around.steps(near), e, floored(around.distances[near]))
-        pairs = [
-            Pairs(around.steps(other.rows), theirs, around.steps(other.own), own, other.own)
-            for other, theirs, own in zip(others, of_others[::2], of_others[1::2], strict=True)
-        ]
         farthest = float(around.distances[around.own].max())
-        distances = floored(around.distances[wide])
-        ratio = max(farthest / fit.reach, 1.0)
-        from_afar = tuple(
-            fit_from_afar(around.steps(wide), of_wide, distances, fit.reach * ratio**part)
-            for part in _PARTS
-        )
-        return FitToTarget(fit, target, f, farthest, from_afar), pairs
+        return FitToTarget(fit, target, f, farthest), of_others

@@ -6,7 +6,6 @@ e ~ a + (u - m) J; D (n,), squared distance of the features from those of the so
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -76,7 +75,6 @@ class FitToTarget(NamedTuple):
     target: (f',), its features.
     f: how many of them are independent; f' is less where they are turned into fewer.
     farthest: squared, by how much features of the run differ from the solution's at most.
-    from_afar: models of samples that are less alike.
     as_far: (d,), how far away the truth may be where the model says nothing; None: in the cube.
     """
 
@@ -84,7 +82,6 @@ class FitToTarget(NamedTuple):
     target: Float64
     f: int
     farthest: float = 0.0
-    from_afar: tuple[LocalFit, ...] = ()
     as_far: Float64 | None = None
 
     @property
@@ -114,27 +111,17 @@ def fit_locally(u: Float64, e: Float64, distances: Float64) -> LocalFit:
         slopes = np.maximum(missed - s, 0.0)[far] / (beyond[far] + 1e-9 * reach)
         rho = float(np.clip(np.median(slopes), *_RHO))
         weights = 1 / (s + rho * beyond)
-    return _local(u, found, s, rho, reach)
+    spread = found.spread
+    J, changes = found.J / spread[:, None], _jackknife(found) / spread[:, None]
+    cloud = (u * found.shares[:, None]).T @ u
+    normal = found.normal * np.outer(spread, spread)
+    return LocalFit(J, found.center, found.origin, normal, cloud, changes, s, rho, reach)
 
 
 def energy_of(changes: Float64) -> Float64:
     """Energy (d, d) of an error with these changes (g, d, f), see `LocalFit`."""
     energy: Float64 = np.tensordot(changes, changes, ((0, 2), (0, 2)))
     return energy
-
-
-def fit_from_afar(u: Float64, e: Float64, distances: Float64, s: float) -> LocalFit:
-    """As `fit_locally`, but samples of which the squared distance is below s > 0 count alike."""
-    return _local(u, _regress(u, e, 1 / np.maximum(distances, s)), s, 1.0, s)
-
-
-def _local(u: Float64, found: _Regression, s: float, rho: float, reach: float) -> LocalFit:
-    """The model of samples u (n, d), in units of the parameters."""
-    spread = found.spread
-    J, changes = found.J / spread[:, None], _jackknife(found) / spread[:, None]
-    cloud = (u * found.shares[:, None]).T @ u
-    normal = found.normal * np.outer(spread, spread)
-    return LocalFit(J, found.center, found.origin, normal, cloud, changes, s, rho, reach)
 
 
 class _Regression(NamedTuple):
@@ -230,7 +217,7 @@ class _Directions(NamedTuple):
 
 def information(fit: LocalFit, least: float = _RESOLVED) -> Float64:
     """J J^T (d, d) without its error, in the directions in which it exceeds `least` times that."""
-    found = _directions(fit.J, fit.changes, fit.normal)
+    found = _directions(fit)
     known = np.where(found.ratios > least, found.ratios - 1, 0.0)
     energy: Float64 = (found.slopes * known) @ found.slopes.T
     return energy
@@ -238,54 +225,36 @@ def information(fit: LocalFit, least: float = _RESOLVED) -> Float64:
 
 def unresolved(fit: LocalFit) -> Float64:
     """Orthonormal directions (d, k), k >= 0, of which `information` says nothing."""
-    found = _directions(fit.J, fit.changes, fit.normal)
+    found = _directions(fit)
     steps: Float64 = np.linalg.qr(found.steps[:, found.ratios <= _RESOLVED])[0]
     return steps
 
 
-def unseen(fit: LocalFit, from_afar: Sequence[LocalFit], most: float, rounding: float) -> Float64:
+def unseen(fit: LocalFit, most: float, rounding: float) -> Float64:
     """Orthonormal directions (d, m), m >= 0, that are unseen.
 
     Along them the image changes next to nothing over the cube, and the little may be chance: the
     ratio of J J^T to its error then follows an F distribution (Satterthwaite 1946).
 
-    from_afar: models of samples that are less alike.
     most: change of the features, squared, over the side of the cube, that is next to nothing.
     rounding: such a change that is only one of their last digits.
     """
-    found = _directions(fit.J, fit.changes, fit.normal, rounding)
+    found = _directions(fit, rounding)
     basis = np.linalg.qr(found.steps[:, found.chance])[0]  # (d, k)
     changes = np.linalg.eigh(basis.T @ (fit.J @ fit.J.T + fit.error) @ basis)
     steps: Float64 = basis @ changes.eigenvectors[:, changes.eigenvalues <= most]
-    for other in from_afar:
-        if steps.shape[1]:
-            steps = _unseen_by_both(steps, fit, other, rounding)
     return steps
 
 
-def _unseen_by_both(steps: Float64, fit: LocalFit, other: LocalFit, rounding: float) -> Float64:
-    """Those of the directions (d, m) of a model that another does not resolve either.
-
-    They have the error of the first model, too, which counts beside that of the other.
-    """
-    changes = np.matmul(steps.T, np.concatenate([other.changes, fit.changes]))
-    normal = np.linalg.inv(steps.T @ np.linalg.solve(other.normal, steps))
-    inner = _directions(steps.T @ other.J, changes, normal, rounding)
-    kept: Float64 = np.linalg.qr(steps @ inner.steps[:, inner.chance])[0]
-    return kept
-
-
-def _directions(J: Float64, changes: Float64, normal: Float64, least: float = 0.0) -> _Directions:
-    """Of J (d, f), with its changes (g, d, f) and its normal matrix (d, d).
-
-    least: added to the energy of its error in each direction.
-    """
+def _directions(fit: LocalFit, least: float = 0.0) -> _Directions:
+    """Of a model; least: added to the energy of its error in each direction."""
+    normal = fit.normal
     scale = np.sqrt(np.diag(normal))
     values, vectors = np.linalg.eigh(normal / np.outer(scale, scale))
     values = np.maximum(values, 1e-14 * values[-1] + _TINIEST)
     root = (vectors * np.sqrt(values)) @ vectors.T * scale  # (d, d)
     back = (vectors / np.sqrt(values)) @ vectors.T / scale[:, None]
-    J, changes = root @ J, np.matmul(root, changes)  # all directions alike
+    J, changes = root @ fit.J, np.matmul(root, fit.changes)  # all directions alike
     energy = J @ J.T
     error = energy_of(changes) + least * root @ root.T
     small = _SMALL * float(np.trace(energy)) / len(energy)  # far less where J is only its error
@@ -332,7 +301,7 @@ def covariance(model: FitToTarget) -> Float64:
     away as samples that look alike; along those that are unseen only the prior counts.
     """
     fit, d = model.fit, len(model.fit.J)
-    steps = unseen(fit, model.from_afar, NO_EFFECT * model.farthest, _rounding(model))
+    steps = unseen(fit, NO_EFFECT * model.farthest, _rounding(model))
     rest = unresolved(fit)
     known = information(fit) / scale_of(model) + _reach(fit.cloud, rest)
     along = np.eye(d) - steps @ steps.T

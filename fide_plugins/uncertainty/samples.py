@@ -228,12 +228,6 @@ def _told_apart(around: Surroundings, missed: float) -> Indices:
     return told if missed > least and len(told) >= _least(around.free) else around.own
 
 
-def less_alike(around: Surroundings, near: Indices) -> Indices:
-    """Rows of `near` (m,), and of about as many others, spread evenly over the run."""
-    rest = np.setdiff1d(around.own, near)
-    return np.union1d(near, rest[:: max(1, len(rest) // len(near))])
-
-
 def _least(free: Mask) -> int:
     """How many samples an estimate needs at least."""
     return int(_FEWEST * free.sum()) + _FEW_MORE

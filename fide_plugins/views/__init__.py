@@ -3,23 +3,19 @@
     opt = FIDE(space, target=[front, side], mask=[None, "side-mask.png"])
     opt.tell(X, [fronts, sides])       # (n, H, W, C) each, of that view's size
 
-**Views.**  A target that is a list has one entry for each view; sizes may differ.  Renders are then
-a list of batches, one for each view.  The loss is the mean of the views' losses, the tokens of all
-views are joined along T.
-
-**Weights.**  `mask` and `weights` are pictures (H, W) in [0, 1], of which the product counts; the
-largest becomes 1.  Let t be the target, x a render, w the weights.  Loss and encoder get
+A target that is a list has one entry for each view; the loss is the mean of the views' losses, the
+tokens of all views are joined.  `mask` and `weights`, (H, W) in [0, 1], are multiplied; the largest
+becomes 1.  Let t be the target, x a render, w the weights.  Loss and encoder get
 
     x' = t + sqrt(w) (x - t),
 
 so the squared difference of a pixel is w (x - t)^2.  Before that the pixels of weight 0 of the
-target get the mean color of all others, to the nearest eighth: what it has there has no influence.
-Only a user's own loss gets x' with the target's own pixels.  The loss of x' is divided by the mean
-of w: `mse` is sum w (x - t)^2 / sum w.  A callable is not.
+target get the mean color of all others, to the nearest eighth; only a user's own loss gets the
+target's own.  The loss of x' is divided by the mean of w: `mse` is sum w (x - t)^2 / sum w.
 
-**Values.**  With `value_range=(low, high)` images are mapped to [0, 1] before anything else, and
-`best.image` is mapped back.  "auto" is the range of what the first target shows, with half of its
-span beyond both ends, but without negative values if the target has none.
+With `value_range=(low, high)` images are mapped to [0, 1] before anything else.  "auto" is the
+range of what the first target shows, with half of its span beyond both ends, but not below 0 if it
+is not.
 """
 
 from __future__ import annotations

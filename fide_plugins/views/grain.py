@@ -1,21 +1,16 @@
 """Grain: noise that is independent from pixel to pixel, as that of path tracers and cameras is.
 
-Two questions, which need no loss.  *How much?*  Where a test of the scene renders one candidate
-twice, half of the mean squared difference of the two is the variance of a pixel.  *Is anything else
-left?*  Where an image is right, its difference from the target is grain, of the renderer and
-perhaps of the target.  Neighboring pixels are then not correlated, and the mean squared difference
-is about that variance, or twice that for a target with as much grain.  What is wrong in an image
-mostly covers several pixels, so they are correlated: the correlation is about the share of the
-squared difference that is no grain.  A small thing has a small share, so no mean of 3 x 3 to 8 x 8
-pixels may stand out either.
+Where a test renders one candidate twice, half of the mean squared difference of the two is the
+variance of a pixel.  Where an image is right, its difference from the target is grain, of the
+renderer and perhaps of the target: neighbors are not correlated, and the mean square is about that
+variance, or twice that.  What is wrong mostly covers several pixels: the correlation of neighbors
+is about its share of the squared difference, and of a small thing a mean of 3 x 3 to 8 x 8 stands
+out.
 
-Where the target has more grain than the renders, which may have none, nobody knows how much there
-is.  Then it must be as strong all over the picture: most pixels have some, and no 9 x 9 pixels have
-more of it than chance explains, since the edges of a thing in a wrong place would.  Neighbors may
-be correlated, and single pixels and means of 2 x 2 to 8 x 8 stand out, as far as chance explains.
+Where the target has more grain than the renders, nobody knows how much.  Then it must be as strong
+all over the picture: most pixels have some, and no 9 x 9 pixels more of it than chance explains.
 
-Not seen is what changes no such mean by some five standard deviations of it (six, where grain may
-vary over the picture), and noise of another kind.
+Not seen is what changes no such mean by some five standard deviations, and noise of another kind.
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ def loss_of(
     user's own is tried on the target first (`losses.base`).
     Raises as `losses.resolve`; LossError for a made loss where there are several views.
     """
-    if isinstance(loss, _OfViews):
+    if isinstance(loss, LossOfViews | CallableOfViews):
         return loss
     if views.plain:
         made = losses.resolve(loss, views.target, device=device)

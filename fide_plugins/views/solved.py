@@ -1,16 +1,12 @@
 """Whether an image equals the target but for what no eye sees.
 
-How far a value is off is measured in steps, each 1/255 of the target's own contrast: of its range
-of values, in the color in which it is largest, so that a faint picture counts as much as a strong
-one.  (A target of one color has no contrast: steps of 8 bits.)  If the target was rounded, to 8 or
-16 bits, half of *its* step is subtracted first: nobody knows better.  Of each view, and of all
-pixels that count:
+How far a value is off is measured in steps, each 1/255 of the target's range of values, in the
+color in which that is largest; of 8 bits for a target of one color.  If the target was rounded, to
+8 or 16 bits, half of *its* step is subtracted first.  Of all pixels of a view that count:
 
 1. The mean square is at most that of rounding to whole steps, 1/12.
 2. A pixel *differs* where a color is off by more than one step.  At most one pixel in 1,000
    differs, and at most ten, none by more than 16 steps, and no 3 x 3 pixels hold more than two.
-
-So single antialiased pixels at an edge may be a little off.  A thing of several pixels may not.
 """
 
 from __future__ import annotations

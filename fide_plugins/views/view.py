@@ -91,13 +91,6 @@ class View:
             apart *= self._roots / self.mean_weight**0.5
         return apart
 
-    def squared_error(self, image: Float32) -> float:
-        """Weighted mean of the squared difference of an image (H, W, 3) from the target."""
-        squared = np.square(image - self.target, dtype=np.float64)
-        if self.weights is None:
-            return float(squared.mean())
-        return float(np.average(squared.mean(axis=-1), weights=self.weights))
-
     @property
     def counted(self) -> int:
         """How many pixels count at all."""

@@ -236,8 +236,7 @@ class Views:
 
     def squared_error(self, image: Float32) -> float:
         """Mean over the views of the weighted mean squared difference of a packed image."""
-        pairs = zip(self.views, self.split(image[None]), strict=True)
-        return float(np.mean([view.squared_error(part[0]) for view, part in pairs]))
+        return float(np.mean([np.square(d).mean() for d in self.differences(image, self.target)]))
 
     def differences(self, image: Float32, other: Float32) -> list[Float64]:
         """Difference (H, W, 3) of two packed images in each view, see `View.difference`."""
@@ -253,15 +252,10 @@ class Views:
         return [next((0.5 / n for n in levels if one.is_rounded(n)), 0.0) for one in self.views]
 
     @cached_property
-    def counted(self) -> int:
-        """How many pixels count, of all views."""
-        return sum(view.counted for view in self.views)
-
-    @cached_property
     def numbers(self) -> int:
         """How many values of pixels count: three a pixel where the target has colors, else one."""
         gray = all((view.target == view.target[..., :1]).all() for view in self.views)
-        return self.counted * (1 if gray else 3)
+        return sum(view.counted for view in self.views) * (1 if gray else 3)
 
     def pack(self, pictures: Sequence[Float32], leading: tuple[int, ...] = ()) -> Float32:
         """One array of pictures (..., H, W, C), one for each view."""

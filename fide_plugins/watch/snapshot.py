@@ -91,10 +91,7 @@ class RunFiles:
         return shown
 
     def _has_stopped(self) -> bool:
-        """Whether the process of a run was killed: its lock is free, and nothing is written.
-
-        The lock alone does not tell: that of another machine may not be seen here.
-        """
+        """Whether the process of a run was killed: its lock is free, and nothing is written."""
         from fide_plugins.recording.directory import is_under_way
 
         marks = (self._mark(name) for name in _WRITTEN)

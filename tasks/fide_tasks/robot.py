@@ -40,11 +40,9 @@ class Robot(Task):
     Options
     -------
     model: a file instead of the built-in arm, such as the panda.xml of MuJoCo Menagerie with its
-        meshes; "menagerie" finds that one by the package robot_descriptions. It needs seven hinge
-        joints, of names that end in joint1 to joint7, and its base at the origin; joints of a
-        gripper keep their first position. A model with a floor keeps its own lamps and sky; one
-        without is put on our floor, in our light.
-    camera: name of a camera of the model; None is ours, which sees the whole arm.
+        meshes. It needs seven hinge joints, of names that end in joint1 to joint7, and its base at
+        the origin; other joints keep their first position. A model with a floor keeps its own
+        lamps and sky; one without is put on our floor, in our light.
     samples: points averaged per pixel (multisampling): 0, or a number that OpenGL supports, such as
         4; other numbers raise OffscreenError when the first frame is drawn.
     shadows: whether lamps cast shadows and reflecting floors reflect.
@@ -75,7 +73,6 @@ class Robot(Task):
         seed: int = 0,
         *,
         model: str | PathLike[str] | None = None,
-        camera: str | None = None,
         samples: int = 0,
         shadows: bool = False,
         target: ArrayLike | None = None,
@@ -92,7 +89,6 @@ class Robot(Task):
         self._joints = robot_model.joints(self._model, file)
         self._places = self._model.jnt_qposadr[self._joints]
         self.times["load"] += time.perf_counter() - start
-        self.camera = self._checked_camera(camera)
         self._stage: Stage | None = None
         self._lock = threading.Lock()
 
@@ -152,10 +148,6 @@ class Robot(Task):
     def _view(self) -> Any:
         mujoco = import_mujoco()
         view = mujoco.MjvCamera()
-        if self.camera is not None:
-            view.type = mujoco.mjtCamera.mjCAMERA_FIXED
-            view.fixedcamid = self._model.camera(self.camera).id
-            return view
         view.lookat[:] = panda.LOOK_AT
         view.distance = panda.DISTANCE
         view.azimuth, view.elevation = panda.AZIMUTH, panda.ELEVATION
@@ -163,13 +155,6 @@ class Robot(Task):
         half = np.tan(np.radians(panda.FOV / 2)) * max(1.0, height / width)
         self._model.vis.global_.fovy = 2 * np.degrees(np.arctan(half))
         return view
-
-    def _checked_camera(self, camera: str | None) -> str | None:
-        names = [self._model.camera(i).name for i in range(self._model.ncam)]
-        if camera is not None and (not camera or camera not in names):
-            listed = ", ".join(filter(None, names)) or "none with a name"
-            raise ValueError(f"the model has no camera {camera!r}; it has {listed}")
-        return camera
 
     def _make_x_star(self) -> Vector:
         rng = np.random.default_rng((self.seed, self.dim))

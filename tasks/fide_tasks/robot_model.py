@@ -1,4 +1,4 @@
-"""The model of the robot: our own, a file of the user's, or MuJoCo Menagerie's; and the room.
+"""The model of the robot, our own or a file such as MuJoCo Menagerie's panda.xml; and the room.
 
 A model that brings a floor (a plane of the world) keeps all that it brings.  One without is put
 into our room, of a floor, a lamp and a sky, and its own lamps are left out.
@@ -6,9 +6,6 @@ into our room, of a floor, a lamp and a sky, and its own lamps are left out.
 
 from __future__ import annotations
 
-import importlib
-import logging
-import re
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -21,27 +18,19 @@ from fide_tasks.offscreen import import_mujoco
 
 __all__ = ["find", "joints", "load"]
 
-_log = logging.getLogger(__name__)
 _OWN = Path(__file__).parent / "mjcf" / "panda.xml"
 _FLOOR = 60.0  # m, half its side; an endless one takes 1.5 ms longer to draw
 _EXTENT = 1.0  # m, unit of the range of depths (to 50 m) and of the reach of shadows
 _SHADOWS = 2.0  # m around the robot, within which there are shadows
 _SHADOW_MAP = 2048  # pixels along a side; twice as many take twice the time
-_TOLERANCE = 0.01  # m and rad by which the axes of a Panda may be elsewhere
 
 
 def find(model: str | PathLike[str] | None) -> Path:
-    """Return the file of a model: None is our own; "menagerie" is that of robot_descriptions.
-
-    Raises FileNotFoundError if there is none, ImportError if robot_descriptions is needed and is
-    not installed, OSError if it cannot bring the model.
-    """
+    """Return the file of a model, None being our own; FileNotFoundError if there is none."""
     if model is None:
         return _OWN
-    if model == "menagerie":
-        return _in_menagerie()
     if not isinstance(model, (str, PathLike)):
-        raise TypeError(f"model must be a path, 'menagerie' or None, not {model!r}")
+        raise TypeError(f"model must be a path or None, not {model!r}")
     file = Path(model).expanduser().resolve()
     if not file.is_file():
         raise FileNotFoundError(f"there is no model file {str(file)!r}")
@@ -72,68 +61,19 @@ def load(file: Path) -> Any:
 def joints(model: Any, file: Path) -> NDArray[np.intp]:
     """Return the numbers of the seven joints of the arm, base to hand, in a compiled model.
 
-    They are the hinges whose names end in joint1 to joint7 (as panda_joint1); where names say
-    nothing, the model must have exactly seven hinges.
-
-    Raises ValueError if it has no such joints.
+    They are the hinges whose names end in joint1 to joint7 (as panda_joint1).  Raises ValueError if
+    there are none.
     """
-    mujoco = import_mujoco()
-    hinges = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE)
-    names = {int(j): model.joint(j).name for j in hinges}
-    numbered: dict[int, int] = {}
-    for joint, name in names.items():
-        match = re.search(r"(?<!finger_)joint_?([1-7])$", name)
-        if match:
-            numbered.setdefault(int(match[1]), joint)
-    if len(numbered) == panda.JOINTS:
-        found = [numbered[i + 1] for i in range(panda.JOINTS)]
-    elif len(hinges) == panda.JOINTS:
-        found = list(names)
-    else:
-        listed = ", ".join(name or "(no name)" for name in names.values()) or "none"
+    hinge = import_mujoco().mjtJoint.mjJNT_HINGE
+    hinges = {model.joint(int(j)).name: int(j) for j in np.flatnonzero(model.jnt_type == hinge)}
+    ends = [f"joint{i + 1}" for i in range(panda.JOINTS)]
+    found = [[j for name, j in hinges.items() if name.endswith(end)] for end in ends]
+    if not all(found):
         raise ValueError(
             f"the model {str(file)!r} is not a Panda: it must have seven hinge joints, of names "
-            f"that end in joint1 to joint7, but it has {len(names)} ({listed})"
+            f"that end in joint1 to joint7, but it has {', '.join(hinges) or 'none'}"
         )
-    _compare(mujoco, model, found, file)
-    return np.array(found, np.intp)
-
-
-def _compare(mujoco: Any, model: Any, found: list[int], file: Path) -> None:
-    """Say where a model is another arm than the Panda; it is rendered nevertheless."""
-    data = mujoco.MjData(model)
-    q = np.array([0.3, -0.4, 0.5, -1.2, 0.6, 1.4, 0.7])
-    data.qpos[model.jnt_qposadr[found]] = q
-    mujoco.mj_kinematics(model, data)
-    poses = panda.frames(q)[: panda.JOINTS]
-    away = poses[:, :3, 3] - data.xanchor[found]
-    axes = data.xaxis[found]
-    off_axis = away - (away * axes).sum(axis=1, keepdims=True) * axes
-    turned = poses[:, :3, 2] - axes
-    worst = np.maximum(np.linalg.norm(off_axis, axis=1), np.linalg.norm(turned, axis=1))
-    if worst.max() > _TOLERANCE:
-        number = 1 + int(np.argmax(worst > _TOLERANCE))
-        _log.warning(
-            "the axis of joint %d of the model %s is elsewhere than a Panda's whose base is at the "
-            "origin: it is rendered, but targets may be seen badly", number, file,
-        )  # fmt: skip
-
-
-def _in_menagerie() -> Path:
-    try:
-        module = importlib.import_module("robot_descriptions.panda_mj_description")
-    except ModuleNotFoundError as error:
-        raise ImportError(
-            f"model='menagerie' needs the package robot_descriptions ({error}): pip install "
-            "robot_descriptions, or pass the path of a panda.xml of MuJoCo Menagerie"
-        ) from error
-    except Exception as error:  # it fetches the model by git, which fails in many ways
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise OSError(
-            f"robot_descriptions cannot bring the Panda of MuJoCo Menagerie ({reason}); pass the "
-            "path of a panda.xml instead"
-        ) from error
-    return Path(module.MJCF_PATH)
+    return np.array([joint[0] for joint in found], np.intp)
 
 
 def _furnish(mujoco: Any, spec: Any) -> None:

@@ -1,7 +1,7 @@
 """San Miguel: a camera and a light that are lost in a courtyard (paper, Sec. 4.2 and S1).
 
 The paper renders the San Miguel scene with light of a single bounce. Here a courtyard of our own
-(`fide_tasks.courtyard`) stands in for it unless the real one is given as a file.
+(`fide_tasks.courtyard`) stands in for it.
 
 Notation: the camera is at o in meters and looks along
 (sin theta cos phi, cos theta, sin theta sin phi), Y being up; the light is at l in meters.
@@ -9,13 +9,12 @@ Notation: the camera is at o in meters and looks along
 
 from __future__ import annotations
 
-from os import PathLike
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fide_tasks import scene_file, viewpoints
+from fide_tasks import viewpoints
 from fide_tasks.base import Parameter, Vector
 from fide_tasks.courtyard import courtyard
 from fide_tasks.mitsuba_task import MitsubaTask
@@ -31,12 +30,6 @@ _GLOW = (0.07, 0.065, 0.065)  # radiance of surfaces, times their color; see `_c
 class SanMiguel(MitsubaTask):
     """A camera (position and two angles) and a point light (position) in a courtyard.
 
-    Options, besides those of every Mitsuba task
-    --------------------------------------------
-    scene: a mesh (.obj, .ply) instead of the built-in courtyard, in meters with Y up, whose inside
-        is about where the paper's bounds are. It is gray unless its vertices have colors (PLY: r,
-        g, b), and is lit as the courtyard is. Materials of OBJ files (.mtl) are not read.
-
     The 8 parameters are x, y, z of the camera, the angles theta and phi of the direction in which
     it looks, and x, y, z of the light. Positions are in the paper's bounds, x [7, 25], y [1, 10],
     z [-2, 12]; theta, measured from straight up, is in [45, 135] degrees, since steeper views are
@@ -47,7 +40,7 @@ class SanMiguel(MitsubaTask):
     shine a little by themselves, in place of light that bounces between them. Any other max_depth
     is path traced, without that.
 
-    A generated target depends on `seed` and the scene. Its camera has room before it, and much of
+    A generated target depends on `seed`. Its camera has room before it, and much of
     what it sees is lit.
     """
 
@@ -62,34 +55,24 @@ class SanMiguel(MitsubaTask):
         *(Parameter("light", name, "m", low, high) for name, low, high in _PLACE),
     )
 
-    def __init__(
-        self,
-        size: int | tuple[int, int] = 224,
-        seed: int = 0,
-        *,
-        scene: str | PathLike[str] | None = None,
-        **options: Any,
-    ) -> None:
-        super().__init__(size, seed, **options)
-        self.scene = None if scene is None else scene_file.checked_scene(scene)
-
     def _integrator(self) -> dict[str, Any]:
         if self.max_depth == 2:
             return {"type": "direct", "emitter_samples": 1, "bsdf_samples": 1}
         return super()._integrator()
 
     def _scene(self, mi: Any) -> dict[str, Any]:
-        parts: dict[str, Any] = {
+        return {
             "type": "scene",
             "light": {"type": "point", "intensity": {"type": "rgb", "value": _INTENSITY}},
             "sky": _sky(mi),
+            "court": _court(mi, glows=self.max_depth == 2),
+            "sensor": {
+                "type": "perspective",
+                "fov": _FOV,
+                "fov_axis": "smaller",
+                "near_clip": 0.05,
+            },
         }
-        if self.scene is None:
-            parts["court"] = _court(mi, glows=self.max_depth == 2)
-        else:
-            parts["mesh"] = scene_file.load(mi, self.scene)
-        camera = {"type": "perspective", "fov": _FOV, "fov_axis": "smaller", "near_clip": 0.05}
-        return {**parts, "sensor": camera}
 
     def _update(self, mi: Any, params: Any, values: Vector) -> None:
         right, up, forward = viewpoints.axes(values[3], values[4])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from typing import Any
 
 import nevergrad as ng
@@ -12,7 +11,6 @@ from fide_adapters.image_loss import is_image
 from fide_adapters.nevergrad import ParametrizedFIDE
 from fide_adapters.optuna import FIDESampler
 from fide_plugins import FIDE
-from fide_plugins.distributed.replica import Replica
 from fide_plugins.types import Float32
 
 DIM = 4
@@ -49,22 +47,6 @@ def test_a_single_mask_is_that_of_all_views_of_its_size() -> None:
         made.append((optimizer.fide.encoder.version, images.evaluator.encoder.version))
     assert made[0] == made[1]
     assert made[0] != (FIDE(DIM, targets).encoder.version,) * 2
-
-
-def test_replicas_agree() -> None:
-    one, other = Replica(core()), Replica(core())
-    for number in range(30):
-        generation, slot = one.generation, number % 6
-        x = one.candidate(slot).x
-        images = [image[None] for image in views(x)]
-        evaluator = one.optimizer.evaluator
-        batch = evaluator.views.as_batch(images, 1, print)
-        loss, tokens = float(evaluator.loss.compute(batch)[0]), one.optimizer.encoder(images)[0]
-        for replica in (one, other):
-            replica.tell(x, loss, tokens, generation=generation, slot=slot)
-    np.testing.assert_array_equal(one.candidate(0).x, other.candidate(0).x)
-    again = Replica.from_state(core(), pickle.loads(pickle.dumps(one.state_dict())))
-    np.testing.assert_array_equal(one.candidate(3).x, again.candidate(3).x)
 
 
 def test_targets_and_masks_are_settings() -> None:

@@ -85,15 +85,6 @@ def test_a_function_is_fitted_and_the_json_names_parameters(
 
 
 @pytest.mark.usefixtures("target")
-def test_a_fit_that_had_no_time_names_no_picture(capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["--renderer", "scene.py:render", "--time", 0.001, "--out", "out"]
-    assert fide("fit", "target.png", *words) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[-1] == "nothing was rendered in that time; give more --time"
-    assert not any("best.png" in line for line in lines) and not Path("out/best.png").exists()
-
-
-@pytest.mark.usefixtures("target")
 def test_a_finished_fit_goes_on_with_a_larger_budget(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["fit", "target.png", "--renderer", "scene.py:render", "--workers", 0, "--json"]
     assert fide(*words, "--budget", 60, "--out", "whole") == 0

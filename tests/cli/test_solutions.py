@@ -11,7 +11,6 @@ import subprocess
 import sys
 import urllib.request
 from functools import partial
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,7 @@ from fide_plugins.cli import main
 from fide_plugins.encoders.own import referenced
 from fide_plugins.errors import CheckpointError
 from fide_plugins.renderers import FunctionRenderer
-from fide_plugins.solutions import figure, read
+from fide_plugins.solutions import read
 
 from .conftest import fide, one_line
 
@@ -77,14 +76,6 @@ def test_all_solutions_are_shown_with_their_own_images(
         std = solution.std
         known = None if std is None else [None if np.isnan(s) else s for s in std]
         assert one["std"] == known
-
-
-def test_a_fit_of_python_shows_the_best_image_and_says_what_is_not_stored(run: Path) -> None:
-    (run / "solutions.ckpt").unlink()
-    found = read(run)
-    assert found.images[0] is not None and found.images[1] is None
-    with Image.open(BytesIO(figure(found))) as picture:
-        assert picture.format == "PNG"
 
 
 def test_a_checkpoint_that_is_replaced_meanwhile_is_read_again(

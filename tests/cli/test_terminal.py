@@ -155,12 +155,6 @@ def test_slow_renderers_have_their_seconds(
     assert f"  {text}  " in last_line(capsys, (0, 0.0), (done, seconds))
 
 
-def test_the_speed_of_a_resumed_run_is_that_of_this_call(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert "4.0 s a render" in last_line(capsys, (1000, 10.0), (1001, 14.0))
-
-
 @pytest.mark.parametrize(
     ("limits", "left"),
     [

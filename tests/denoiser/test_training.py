@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import pytest
 import torch
 from torch import Tensor, nn
 
+from fide_lab.baselines.image_based import WhitenedLoss, whitened
 from fide_plugins.denoiser.network import Context
-from fide_plugins.denoiser.sampling import whitened, x_prediction
-from fide_plugins.denoiser.training import WhitenedLoss, XLoss, adam_state, fit, load_adam_state
+from fide_plugins.denoiser.sampling import x_prediction
+from fide_plugins.denoiser.training import XLoss, adam_state, fit, load_adam_state
 from fide_plugins.runtime.devices import BatchSize
 
 STD = torch.tensor([0.3, 0.1, 0.7])
@@ -62,7 +63,7 @@ def train(
     x = gaussian(50)
     line = Line()
     losses = fit(
-        line,
+        cast(Any, line),  # what `fit` uses of a network
         x_prediction,
         objective or XLoss(),
         torch.optim.Adam(line.parameters(), lr=lr),

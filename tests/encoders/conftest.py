@@ -7,13 +7,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 
 from fide_plugins import encoders
 from fide_plugins.encoders.base import PatchEncoder
-from fide_plugins.types import Float32
 
 TINY: dict[str, Any] = {"hidden_size": 32, "num_hidden_layers": 2, "num_attention_heads": 2}
 CONFIGS: dict[str, tuple[str, dict[str, Any]]] = {  # kind: class in transformers, its settings
@@ -44,42 +42,6 @@ def dino_folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     colors = {"image_mean": [0.485, 0.456, 0.406], "image_std": [0.229, 0.224, 0.225]}
     (folders["dinov3"] / "preprocessor_config.json").write_text(json.dumps(colors))
     return folders
-
-
-@pytest.fixture
-def antialiased() -> Callable[[Float32, int, int], Float32]:
-    """Bilinear resizing of images (n, H, W, 3) by full matrices of triangles.
-
-    A triangle is as wide as a pixel of the coarser grid, to both sides of its center.
-    """
-
-    def triangles(pixels: int, resized: int) -> np.ndarray:
-        scale = pixels / resized
-        centers = (np.arange(resized)[:, None] + 0.5) * scale
-        distance = np.abs(np.arange(pixels) + 0.5 - centers) / max(scale, 1.0)
-        weights = np.maximum(1 - distance, 0)
-        normalized: np.ndarray = weights / weights.sum(axis=1, keepdims=True)
-        return normalized
-
-    def resize(images: Float32, height: int, width: int) -> Float32:
-        down, across = triangles(images.shape[1], height), triangles(images.shape[2], width)
-        resized: Float32 = np.einsum("ip,jq,npqc->nijc", down, across, images).astype(np.float32)
-        return resized
-
-    return resize
-
-
-@pytest.fixture
-def checkerboard() -> Callable[[int, int], Float32]:
-    """Image (1, height, width, 3) of squares of 3 pixels, whose colors differ in each channel."""
-
-    def make(height: int, width: int) -> Float32:
-        squares = np.add.outer(np.arange(height) // 3, np.arange(width) // 3) % 2
-        colors = np.array([[0.9, 0.1, 0.3], [0.2, 0.8, 0.5]], np.float32)
-        board: Float32 = colors[squares][None]
-        return board
-
-    return make
 
 
 @pytest.fixture

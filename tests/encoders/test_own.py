@@ -37,19 +37,6 @@ def test_it_is_what_the_optimizer_uses(render: Any, target: Float32) -> None:
     assert opt.best is not None and opt.best.loss < 0.01
 
 
-def test_it_may_use_its_array_again(render: Any, target: Float32) -> None:
-    array = np.empty((64, 4, 3), np.float32)
-
-    def encoder(images: Float32) -> Float32:
-        array[: len(images)] = quarters(images)
-        return array[: len(images)]
-
-    opt = FIDE(6, target, encoder=encoder, popsize=8, seed=0)
-    X = opt.ask()
-    opt.tell(X, render(X))
-    np.testing.assert_array_equal(opt.target_tokens, quarters(target[None])[0])
-
-
 @pytest.mark.parametrize(
     "form",
     [
@@ -89,17 +76,6 @@ def test_a_wrong_encoder_is_refused_before_the_first_render(
 ) -> None:
     with pytest.raises(FeaturesError, match=f"(?s){message}"):
         FIDE(6, target, encoder=encoder)
-
-
-def test_features_that_fail_later_change_nothing(target: Float32) -> None:
-    def dark_fails(images: Float32) -> Float32:
-        return np.where(images.mean() > 0, quarters(images), np.float32(np.nan))
-
-    opt = FIDE(6, target, encoder=dark_fails, popsize=4, seed=0)
-    X = opt.ask()
-    with pytest.raises(FeaturesError, match="finite floats"):
-        opt.tell(X, np.zeros((4, 16, 16, 3), np.float32))
-    assert opt.evaluations == 0
 
 
 def test_views_of_several_sizes(target: Float32) -> None:

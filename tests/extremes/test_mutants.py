@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fide_plugins import Choice, Float, Group, Int, Space
-from fide_plugins.errors import CheckpointError, ImageError, SpaceError
+from fide_plugins import Float, Group, Space
+from fide_plugins.errors import CheckpointError, ImageError
 from fide_plugins.learning.emulator import Emulator
 from fide_plugins.learning.judging import Familiarity, Report
 from fide_plugins.learning.model import Model
@@ -109,34 +109,6 @@ def refused(
             escaped.add_note(f"of the mutant {seed}")
             raise
     return count
-
-
-def test_spaces(tmp_path: Path) -> None:
-    space = Space(
-        azimuth=Float(-60, 60, unit="deg", periodic=True),
-        size=Float(1e-3, 10, log=True),
-        columns=Int(3, 8, step=2),
-        floor=Choice("checker", "wood", 3, True),
-        beads=6 * Group(x=Float(0, 1, step=0.1), at=Group(y=Float(0, 1))),
-    )
-    path = tmp_path / "space.toml"
-    space.write(path)
-    assert refused(path, path.read_bytes(), Space.read, SpaceError) > NUMBER / 2
-
-
-@pytest.mark.parametrize("change", [mutant, mutant_of_json])
-def test_records_of_runs(change: Callable[[bytes, int], bytes], tmp_path: Path) -> None:
-    run = {
-        "format": 2, "state": "running", "settings": {"dim": 2, "size": [4, 4], "seed": 0},
-        "resumed": ["2026-01-01T00:00:00+00:00"], "limits": {"budget": 60, "time": None},
-        "totals": {"best_loss": 1.5e-3, "evaluations": 60, "status": "improving"},
-    }  # fmt: skip
-    sound = json.dumps(run, indent=2).encode()
-
-    def read(path: Path) -> None:
-        assert isinstance(read_run(path.parent), dict)
-
-    assert refused(tmp_path / "run.json", sound, read, RunDirectoryError, change) > NUMBER / 10
 
 
 def checked(body: bytes) -> bytes:

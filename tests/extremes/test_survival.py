@@ -177,20 +177,6 @@ def test_a_disk_that_is_full(most: int, tmp_path: Path, expected: Any) -> None:
     check_same(run(tmp_path / "run"), expected)
 
 
-def test_a_folder_that_may_not_be_written(tmp_path: Path) -> None:
-    tmp_path.chmod(0o555)
-
-    def work(pipe: int) -> None:
-        if os.getuid() == 0:  # whom nothing is forbidden
-            os.setuid(65534)
-        run(tmp_path / "run", reporting(pipe))
-
-    code, lines = end_of(in_a_child(work))
-    tmp_path.chmod(0o755)
-    assert code == 1 and "cannot write to the folder" in lines[-1]
-    assert not list(tmp_path.iterdir())
-
-
 def test_a_renderer_that_fails_is_what_is_said_also_where_nothing_can_be_saved(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

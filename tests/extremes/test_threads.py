@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 
 from fide_plugins.fide import FIDE
 from fide_plugins.types import Float32, Float64
@@ -87,18 +86,3 @@ def run(opt: FIDE) -> Float64:
         X = opt.ask()
         opt.tell(X, render(X))
     return opt.ask()
-
-
-def test_a_forked_process_goes_on_like_its_parent(
-    forked: Callable[[Callable[[], object]], str],
-) -> None:
-    """With two threads of PyTorch, whose pool a fork does not bring along."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(2)
-    try:
-        opt = FIDE(DIM, TARGET, seed=0)
-        run(opt)
-        theirs = forked(lambda: run(opt).tolist())
-        assert theirs == repr(run(opt).tolist())
-    finally:
-        torch.set_num_threads(threads)

@@ -100,7 +100,6 @@ SETTINGS: dict[str, tuple[dict[str, Any], type[Exception], str]] = {
     "device": ({"device": "abacus"}, DeviceError, "abacus"),
     "option": ({"popsise": 8}, OptionError, "popsise.*popsize"),
     "epochs": ({"epochs": 2**40}, OptionError, "epochs.*10,000.*1,099,511,627,776"),
-    "steps": ({"steps": 2**70}, OptionError, "steps.*1,000"),
     "schedule": ({"schedule": (0.1, 0.2)}, OptionError, r"0\.1, 0\.2"),
 }
 

@@ -39,7 +39,7 @@ BEADS = Space(
 ANSWER = {"beads": [{"x": 0.2, "y": 0.3}, {"x": 0.7, "y": 0.6}], "n": 2, "floor": "c"}
 
 
-@pytest.mark.parametrize("options", [{}, {"proposer": "forward"}, {"proposer": "none"}])
+@pytest.mark.parametrize("options", [{}, {"proposer": "none"}])
 @pytest.mark.parametrize("many", [None, 1, 25])
 def test_every_candidate_is_valid_whatever_it_is_for(
     many: int | None, options: dict[str, Any]

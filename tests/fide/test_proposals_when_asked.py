@@ -29,7 +29,7 @@ def one_by_one(opt: FIDE, render: Render, n: int) -> Float64:
     return np.concatenate(asked)
 
 
-@pytest.mark.parametrize("proposer", ["linear", "forward"])
+@pytest.mark.parametrize("proposer", ["linear"])
 def test_asked_one_by_one_each_proposal_knows_all_that_was_told(
     proposer: str, render: Render, target: Float32, monkeypatch: pytest.MonkeyPatch
 ) -> None:

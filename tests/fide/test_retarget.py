@@ -19,7 +19,6 @@ from .helpers import Render, StateOf
 
 KINDS: dict[str, dict[str, Any]] = {
     "linear": {"popsize": 8, "patience": 3},
-    "forward": {"popsize": 8, "proposer": "forward"},
     "both, blocks": {"popsize": 8, "proposer": "both", "groups": [[0, 1, 2], [3, 4, 5]]},
     "paper": {"preset": "paper", "popsize": 6, "epochs": 1, "batch_size": 6},
     "losses only": {"popsize": 8, "proposer": "none"},
@@ -37,7 +36,7 @@ def go_on(opt: FIDE, render: Render, n: int) -> list[Float64]:
     return asked
 
 
-@pytest.mark.parametrize("kind", ["linear", "forward", "both, blocks", "paper"])
+@pytest.mark.parametrize("kind", ["linear", "both, blocks", "paper"])
 def test_a_picture_that_was_rendered_is_found_at_once(
     kind: str, target: Float32, render: Render
 ) -> None:

@@ -81,14 +81,6 @@ def test_swapped_channels_are_named() -> None:
         fit(draw, draw(AT), SPACE, budget=5, workers=0, seed=1)  # far from solved
 
 
-def test_bytes_of_0_and_1_are_named() -> None:
-    def half(p: dict[str, float]) -> Any:
-        return (0.5 + p["x"] / 2 < U).astype(np.uint8)
-
-    with pytest.warns(RuntimeWarning, match=r"times as bright.*masks of 0 and 1 are bool"):
-        fit(half, U > 0.7, SPACE, 40, workers=0, seed=1)
-
-
 @pytest.mark.parametrize("values", [(0, 255), "auto"])
 def test_floats_for_bytes_are_named_with_a_value_range(values: Any) -> None:
     target = (255 * draw(AT)).astype(np.uint8)
@@ -111,11 +103,3 @@ def test_the_target_of_a_run_is_read_exactly(tmp_path: Path) -> None:
     (tmp_path / "a/target.tif").write_text("no picture")
     with pytest.raises(ImageError, match=r"target\.tif"):
         load_run(tmp_path / "a")
-
-
-def test_an_alpha_channel_of_0_to_255_is_named() -> None:
-    rgba = np.full((24, 24, 4), 255.0)
-    with pytest.raises(ImageError, match=r"alpha channel with values in \[255, 255\]"):
-        fit(draw, rgba, SPACE, 4, workers=0, value_range=(0, 255))
-    with pytest.raises(ValueRangeError, match="alpha channel"):
-        fit(lambda p: rgba, rgba[..., :3], SPACE, 4, workers=0, value_range=(0, 255))

@@ -10,7 +10,7 @@ import torch
 
 from fide_plugins import Float, Group, Int, Space
 from fide_plugins.learning.emulator import Emulator, inverted
-from fide_plugins.learning.judging import Distance
+from fide_plugins.learning.judging import matched
 from fide_plugins.learning.networks import as_input
 from fide_plugins.learning.renders import Pixels
 from fide_plugins.learning.training import Training
@@ -48,7 +48,7 @@ def trained(seed: int = 0) -> Emulator:
 @pytest.mark.slow
 def test_descents_find_angles_across_their_ends_and_numbers() -> None:
     """Six lamps of three pictures; other seeds: 5 or 6 numbers, a median of 1 to 4 degrees."""
-    emulator, match = trained(), Distance(SPACE.periodic.tolist(), SPACE.largest_family).matched
+    emulator = trained()
     right, apart = [], []
     for seed, turn in enumerate((0.003, 0.5, 0.996)):
         rng = np.random.default_rng((1, seed))
@@ -56,7 +56,12 @@ def test_descents_find_angles_across_their_ends_and_numbers() -> None:
         truth[0], truth[2] = turn, (turn + 0.25 + 0.5 * truth[2]) % 1  # far from each other
         generator = torch.Generator().manual_seed(seed)
         found = inverted(emulator, as_input(pixels(truth[None])), begun, generator)
-        best = match(found[0].numpy().astype(np.float64), truth)
+        best = matched(
+            found[0].numpy().astype(np.float64),
+            truth,
+            SPACE.periodic.tolist(),
+            SPACE.largest_family,
+        )
         for one, other in zip(*(SPACE.decode(x)["lamps"] for x in (best, truth)), strict=True):
             right.append(one["bulbs"] == other["bulbs"])
             apart.append(abs((one["turn"] - other["turn"] + 180) % 360 - 180))

@@ -61,13 +61,13 @@ def test_every_stage_tells_its_progress(monkeypatch: pytest.MonkeyPatch) -> None
     said: list[LearnProgress] = []
     model = learn(plain, 2, renders=400, size=SIDE, passes=2, on_progress=said.append)
     stages = [stage for stage, _ in itertools.groupby(at.stage for at in said)]
-    assert stages == ["render", "train", "calibrate", "judge"]
+    assert stages == ["render", "train", "judge"]
     for stage in stages:
         (total,) = {at.total for at in said if at.stage == stage}
         done = [at.done for at in said if at.stage == stage]
         step = 100 if stage == "render" else 1  # a shard
         assert done == list(range(step, done[-1] + 1, step))
-        assert done[-1] == total or (stage == "calibrate" and done[-1] < total)
+        assert done[-1] == total
     assert said[-1] == LearnProgress("judge", 4, 4)
     assert model.report.fitted == 4
 
@@ -213,8 +213,6 @@ def test_nothing_is_written_before_it_can_begin(tmp_path: Path) -> None:
     for seed in (-1, 1.5, "a", True):
         with pytest.raises(OptionError, match="seed must be a whole number >= 0"):
             learn(plain, 2, size=SIDE, out=tmp_path / "m", seed=seed)  # type: ignore[arg-type]
-    with pytest.raises(OptionError, match="workers=0 renders in this process: leave out executor"):
-        learn(plain, 2, size=SIDE, out=tmp_path / "m", workers=0, executor="threads")
     with pytest.raises(OptionError, match="workers must be a whole number >= 0"):
         learn(plain, 2, size=SIDE, out=tmp_path / "m", workers=-1)
     lock = threading.Lock()
@@ -293,7 +291,6 @@ def test_time_is_kept() -> None:
         ({"groups": [[0], [0]]}, OptionError, "must not overlap"),
         ({"emulator": True}, OptionError, "an emulator needs exchangeable blocks"),
         ({"emulator": 1}, OptionError, "emulator is True, False or None, not 1"),
-        ({"executor": "tcp://host:8786"}, OptionError, "executor must be 'processes', 'threads'"),
         (
             {"on_progress": 3},
             OptionError,

@@ -11,8 +11,7 @@ from hypothesis import given, settings, strategies as st
 
 from fide_plugins import losses
 from fide_plugins.errors import ImageError, LossError, UnknownNameError
-from fide_plugins.losses.base import LossOfTarget, as_losses
-from fide_plugins.losses.scales import gaussian_means
+from fide_plugins.losses.base import LossOfTarget
 from fide_plugins.types import Float32
 
 RNG = np.random.default_rng(5)
@@ -38,21 +37,6 @@ def test_zero_at_the_target_and_positive_elsewhere(name: str, size: tuple[int, i
     assert values[0] == values[2] == 0.0
     assert np.all(values[[1, 3]] > 0) and np.isfinite(values).all()
     assert losses.make(name, target)(images[:0]).shape == (0,)
-
-
-@every_loss
-def test_a_user_who_raises_floating_point_errors_gets_the_same_losses(name: str) -> None:
-    """Weights far from a center and squares of tiny differences are too small for a float."""
-    size = SMALLEST.get(name, 1) + 60
-    target, image = RNG.random((2, size, size, 3))
-    dark = np.full_like(target, 1e-50)
-    images = np.stack([image, target, np.minimum(target + 1e-7, 1), dark, dark * 1e20])
-    expected = losses.make(name, target)(images)
-    gaussian_means.cache_clear()
-    with np.errstate(all="raise"):
-        np.testing.assert_array_equal(losses.make(name, target)(images), expected)
-        for given in (dark, dark * 1e20):
-            losses.make(name, given)(images)
 
 
 @every_loss
@@ -213,12 +197,6 @@ def test_a_loss_that_writes_to_its_images_does_no_harm() -> None:
     before = IMAGES.copy()
     losses.resolve(rude, TARGET)(IMAGES)
     np.testing.assert_array_equal(IMAGES, before)
-
-
-def test_values_are_copied() -> None:
-    values = np.zeros(3)
-    assert as_losses(values, 3) is not values
-    assert as_losses(4, 1).tolist() == [4.0]
 
 
 @pytest.mark.parametrize("loss", [3, ["mse"], b"mse"])

@@ -21,7 +21,6 @@ from fide_plugins.errors import (
     WeightsNotFoundError,
 )
 from fide_plugins.fide import FIDE
-from fide_plugins.losses import lpips as lpips_module
 from fide_plugins.losses.lpips import VARIANTS
 from fide_plugins.types import Float32
 
@@ -148,53 +147,6 @@ def test_heads_of_the_package_are_found(
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "lpips", raising=False)
     np.testing.assert_allclose(losses.make("lpips", a)(b[None]), 2 * single, rtol=1e-6)
-
-
-@pytest.mark.parametrize("who", ["FIDE", "FIDESampler", "ParametrizedFIDE"])
-def test_it_computes_where_the_optimizer_does(
-    who: str, cached_weights: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked: list[object] = []
-
-    def resolve_device(device: object) -> torch.device:
-        asked.append(device)
-        return torch.device("cpu")
-
-    monkeypatch.setattr(lpips_module, "resolve_device", resolve_device)
-    target, device = np.zeros((32, 32, 3), np.float32), "cpu:0"
-    if who == "FIDE":
-        FIDE(3, target, loss="lpips:vgg", device=device)
-    elif who == "FIDESampler":
-        pytest.importorskip("optuna")
-        from fide_adapters.optuna import FIDESampler
-
-        FIDESampler(target, loss="lpips:vgg", device=device)
-    else:
-        ng = pytest.importorskip("nevergrad")
-        from fide_adapters.nevergrad import ParametrizedFIDE
-
-        make = ParametrizedFIDE(target=target, loss="lpips:vgg", device=device)
-        opt = make(ng.p.Array(shape=(3,)), budget=10)
-        opt.tell(opt.ask(), target)
-    assert asked == [device]
-
-
-@pytest.mark.parametrize("name", ["lpips", "lpips:vgg"])
-@pytest.mark.usefixtures("cached_weights")
-def test_a_mask(name: str) -> None:
-    """Its own option `weights` is a file, so it sees the target where a mask hides the render."""
-    target, image = pair(40, 48)
-    mask = np.zeros((40, 48), np.float32)
-    mask[:, :24] = 1
-    assert not losses.takes_weights(name)
-    opt = FIDE(3, target, loss=name, mask=mask, seed=0)
-    filled = opt.views.views[0].filled  # the target, with one color where it is hidden
-    shown = np.where(mask[..., None] == 1, image, filled)
-    other = np.where(mask[..., None] == 1, image, 0.0)
-    expected = losses.make(name, filled)([shown]) / 0.5
-    np.testing.assert_allclose(opt.evaluator.loss([image]), expected, rtol=1e-6)
-    np.testing.assert_array_equal(opt.evaluator.loss([other]), opt.evaluator.loss([image]))
-    assert opt.evaluator.loss([target])[0] == 0.0
 
 
 def test_heads_below_zero(cached_weights: Path, tmp_path: Path) -> None:

@@ -7,10 +7,8 @@ import sys
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import pytest
-from PIL import Image
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -97,74 +95,3 @@ def test_the_guide_is_short() -> None:
     pages = [*DOCS.rglob("*.md"), *DOCS.rglob("*.rst")]
     words = sum(len(page.read_text("utf-8").split()) for page in pages)
     assert words <= 40_000
-
-
-class TestBrowser:
-    """The check in a browser complains of what is wrong, and only of that."""
-
-    FILM = '<img src="film.webp" width="40" height="40">'
-    FOUND = '<div id="search-results"><p class="search-summary">x</p></div>'
-
-    @pytest.fixture
-    def check(self) -> ModuleType:
-        return load("check_browser")
-
-    @pytest.fixture
-    def good(self, tmp_path: Path) -> Path:
-        """A site of one page that follows the scheme, with a picture of two frames."""
-        frames = [Image.new("RGB", (40, 40), color) for color in ("red", "blue")]
-        for name, some in (("film", frames), ("still", frames[:1])):
-            more: dict[str, Any] = {
-                "save_all": True,
-                "append_images": some[1:],
-                "duration": 100,
-                "loop": 0,
-            }
-            some[0].save(tmp_path / f"{name}.webp", **more)
-        style = "<style>:root { color-scheme: light dark; } img { max-width: 100% }</style>"
-        body = (
-            "<style>body { background: #fff; color: #000 }"
-            "@media (prefers-color-scheme: dark) { body { background: #000; color: #fff } }</style>"
-        )
-        return site(
-            tmp_path, index=f"{style}{body}<p>words</p>{self.FILM}", gallery=body + self.FILM
-        )
-
-    def add(self, folder: Path, text: str) -> None:
-        page = folder / "index.html"
-        page.write_text(page.read_text("utf-8").replace("</article>", f"{text}</article>"), "utf-8")
-
-    def read(self, check: ModuleType, browser: Any, folder: Path) -> list[str]:
-        schemes = (("light", check.SCREEN), ("dark", check.PHONE))
-        return [one for how in schemes for one in check.read(browser, folder, *how)]
-
-    @pytest.mark.thorough
-    def test_a_good_site(self, check: ModuleType, browser: Any, good: Path) -> None:
-        assert self.read(check, browser, good) == []
-        assert list(check.films(browser, good)) == []
-
-    @pytest.mark.parametrize(
-        ("text", "complaint"),
-        [
-            ('<div style="width: 500px">x</div>', "index.html (dark, 390 px): 508 px wide"),
-            ('<img src="none.png">', "the picture none.png does not load"),
-            ("<script>throw new Error('oh')</script>", "index.html (light, 1280 px): oh"),
-            ("<style>p { color: #888 }</style>", "contrast of text 3.5, less than 4.5"),
-            ("<style>body { background: #fff !important; color: #000 !important }</style>",
-             "index.html (dark, 390 px): the background is light"),
-        ],
-    )  # fmt: skip
-    def test_what_is_wrong(
-        self, check: ModuleType, browser: Any, good: Path, text: str, complaint: str
-    ) -> None:
-        self.add(good, text)
-        assert any(complaint in one for one in self.read(check, browser, good))
-
-    def test_a_search_that_finds_nothing(self, check: ModuleType, browser: Any, good: Path) -> None:
-        form = f'<form action="index.html"><input name="q"></form>{self.FOUND}'
-        self.add(good, form)
-        searches = {"noise": "howto/noise.html"}
-        (trouble,) = check.searched(browser, good, searches, wait=500)
-        assert trouble == "the search for 'noise' does not find howto/noise.html"
-        self.add(good, '<div id="search-results"><a href="howto/noise.html">x</a></div>')
-        assert list(check.searched(browser, good, searches)) == []

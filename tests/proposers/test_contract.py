@@ -23,7 +23,6 @@ TARGET_X = np.full((1, D), 0.6)
 OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
     "linear": ("balanced", {"proposer": "linear"}),
     "linear, screening": ("balanced", {"proposer": "linear", "screening": True}),
-    "forward": ("balanced", {"proposer": "forward"}),
     "diffusion": ("paper", {"epochs": 1, "batch_size": 10}),
 }
 Make = Callable[..., Proposer]

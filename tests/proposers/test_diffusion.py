@@ -59,16 +59,6 @@ def as_numpy(state: dict[str, Any]) -> dict[str, Any]:
     return {key: convert(value) for key, value in state.items()}
 
 
-def test_weights_and_moments_are_carried_on() -> None:
-    proposer = make(epochs=3, batch_size=10)
-    x, tokens = scene(20)
-    first = proposer.update(x, tokens, None, STD)
-    second = proposer.update(x, tokens, None, STD)
-    assert float(second[0]) < float(first[0])
-    steps = {float(entry["step"]) for entry in proposer.state_dict()["adam"].values()}
-    assert steps == {2 * 3 * 2.0}  # updates x epochs x minibatches
-
-
 def by_the_sample(proposed: Floats, z: Floats) -> bool:
     """Whether a sample itself stands where the network gave no number."""
     return bool((proposed == z).any())
@@ -114,26 +104,6 @@ def state_as_bytes(proposer: DiffusionProposer) -> dict[str, Any]:
         return value.numpy().tobytes() if isinstance(value, Tensor) else value
 
     return {key: flat(value) for key, value in proposer.state_dict().items()}
-
-
-@pytest.mark.parametrize("generations", [0, 1])
-@pytest.mark.parametrize("error", [KeyboardInterrupt(), MemoryError("too large")])
-def test_training_that_raises_is_undone(generations: int, error: BaseException) -> None:
-    """Weights, moments and noise: it goes on, bit for bit, as if it had not been tried."""
-    proposer, other = make(batch_size=1), make(batch_size=1)
-    x, tokens = scene(8)
-    for each in (proposer, other):
-        each._parts(3, 1)
-        for _ in range(generations):
-            each.update(x, tokens, None, STD)
-    proposer.objective = Interrupting(error, after=7)
-    with pytest.raises(type(error)):
-        proposer.update(x, tokens, None, STD)
-    assert state_as_bytes(proposer) == state_as_bytes(other)
-    proposer.objective = XLoss()
-    for each in (proposer, other):
-        each.update(x, tokens, None, STD)
-    assert state_as_bytes(proposer) == state_as_bytes(other)
 
 
 def test_a_network_that_overflows_leaves_samples_as_they_are() -> None:

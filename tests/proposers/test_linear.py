@@ -152,19 +152,6 @@ def test_a_random_part_of_the_way_from_one_of_the_best() -> None:
     assert part.std() == pytest.approx(0.4 / np.sqrt(12), rel=0.05)
 
 
-def test_a_random_part_of_the_sample_s_deviation_is_kept() -> None:
-    x, tokens, losses = scene(20)
-    plain, noisy = make(), make(noise=0.5)
-    for proposer in (plain, noisy):
-        proposer.update(x, tokens, losses, STD)
-    z = np.tile(0.5 + STD, (2000, 1))
-    kept = propose(noisy, tokens[3], z=z) - propose(plain, tokens[3])
-    part = kept / STD
-    np.testing.assert_allclose(part, np.broadcast_to(part[:, :1], part.shape), atol=1e-9)
-    assert part.min() >= 0.0 and part.max() <= 0.5
-    assert part.mean() == pytest.approx(0.25, abs=0.02)
-
-
 @pytest.mark.parametrize("screening", [False, True])
 def test_a_linear_renderer_is_solved_at_once(screening: bool) -> None:
     x, tokens, losses = scene(30, bend=0.0)
@@ -251,20 +238,3 @@ def test_what_is_explained_is_measured_on_candidates_left_out() -> None:
         residuals[i] = u[i] - u_mean - (e[i] - e_mean) @ K
     total = w @ np.square(u - w @ u)
     np.testing.assert_allclose(fit.explained, 1 - w @ np.square(residuals) / total, atol=1e-5)
-
-
-def test_the_buffer_holds_the_latest() -> None:
-    """Whatever the pieces."""
-    x, tokens, losses = scene(50)
-    target = images_of(np.full((1, D), 0.6))[0]
-    expected = None
-    for pieces in ([20], [5] * 4, [1, 20], [13, 20], [15, 14, 2], [20, 20, 1, 9]):
-        proposer = make(capacity=20, sources=20)
-        start = 50 - sum(pieces)
-        for n in pieces:
-            part = slice(start, start + n)
-            proposer.update(x[part], tokens[part], losses[part], STD)
-            start += n
-        proposed = propose(proposer, target, 50)
-        expected = proposed if expected is None else expected
-        np.testing.assert_allclose(proposed, expected, atol=1e-8, err_msg=str(pieces))

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fide_plugins import Choice, Float, Group, Int, Space, fit
+from fide_plugins import Choice, Float, Group, Space, fit
 from fide_plugins.errors import OptionError, RenderError
 from fide_plugins.renderers import CommandRenderer, child
 from fide_plugins.renderers.command import Template
@@ -149,11 +149,6 @@ def test_formats_braces_quotes_and_pieces_of_arguments() -> None:
     ]  # fmt: skip
 
 
-def test_numbers_are_written_with_all_their_digits() -> None:
-    space = Space(x=Float(0, 1), n=Int(1, 9))
-    assert arguments("{out} {x} {n}", space, {"x": 1 / 3, "n": 4})[1:] == [repr(1 / 3), "4"]
-
-
 def test_parameters_of_groups_by_their_flat_names() -> None:
     space = Space(ball=Group(x=Float(0, 1)), beads=2 * Group(y=Float(0, 1)))
     values = {"ball": {"x": 0.5}, "beads": [{"y": 0.25}, {"y": 0.75}]}
@@ -208,11 +203,6 @@ def test_names_of_files_and_times_without_meaning_are_refused() -> None:
         CommandRenderer("ls {out}", Space(out=Float(0, 1)))
     with pytest.raises(OptionError, match="timeout must be a number of seconds > 0, not 0"):
         CommandRenderer(template(), SPACE, timeout=0)
-
-
-def test_a_parameter_may_be_in_one_view_only() -> None:
-    one, other = template(rest=""), template(rest="{floor}").replace("{gray}", "0")
-    CommandRenderer([one, other], SPACE)
 
 
 # -- a program that fails --------------------------------------------------------------------------

@@ -74,23 +74,6 @@ def test_any_state_comes_back_bit_for_bit(tmp_path: Path, state: dict[str, Any])
     assert same(state, roundtrip(tmp_path / "c", state))
 
 
-def test_numbers_keep_every_bit(tmp_path: Path) -> None:
-    payload = struct.unpack("<d", struct.pack("<Q", 0x7FF8_0000_DEAD_BEEF))[0]
-    state = {
-        "big": 2**4000 + 1,
-        "huge": -(10**5000),  # more digits than int() of a decimal string accepts
-        "edges": [2**63, 2**63 - 1, -(2**63), -(2**63) - 1, 0, True, False],
-        "floats": [payload, -0.0, float("inf"), float("-inf"), 5e-324, 0.1],
-        "nan": np.frombuffer(struct.pack("<2Q", 0xFFF0_0000_0000_0001, 0x7FF8_0000_0000_0007)),
-        "lone surrogate": "\ud800",
-        "zero-d": np.array(3.5, np.float32),
-        "empty": [np.empty((0, 5)), np.empty((3, 0), np.int16), [], {}],
-        "fortran": np.asfortranarray(np.arange(6.0).reshape(2, 3)),
-        "strided": np.arange(20)[::3],
-    }
-    assert same({**state, "strided": np.arange(20)[::3].copy()}, roundtrip(tmp_path / "c", state))
-
-
 def test_tensors_and_numpy_scalars(tmp_path: Path) -> None:
     weight = torch.nn.Linear(3, 2).weight
     back = roundtrip(

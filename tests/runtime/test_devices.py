@@ -19,7 +19,6 @@ from fide_plugins.runtime.devices import (
     is_out_of_memory,
     repeatable,
     resolve_device,
-    stack,
 )
 
 TARGET = np.zeros((32, 32, 3), np.float32)
@@ -123,28 +122,6 @@ def test_other_errors_are_none_of_it() -> None:
     with pytest.raises(RuntimeError, match="mat1"):
         BatchSize(8, "things").each(work, 8)
     assert not is_out_of_memory(ValueError("out of memory"))
-
-
-def test_a_stack_that_is_too_large_for_a_device_is_on_the_cpu(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    tensors, honest, tried = [torch.full((2,), float(i)) for i in range(3)], torch.stack, []
-
-    def small(tensors: list[Tensor]) -> Tensor:
-        tried.append(len(tensors))
-        if len(tried) == 1:
-            raise DEVICE
-        return honest(tensors)
-
-    monkeypatch.setattr(torch, "stack", small)
-    assert stack(tensors).tolist() == [[0, 0], [1, 1], [2, 2]] and tried == [3, 3]
-
-    def broken(tensors: list[Tensor]) -> Tensor:
-        raise RuntimeError("stack expects each tensor to be equal size")
-
-    monkeypatch.setattr(torch, "stack", broken)
-    with pytest.raises(RuntimeError, match="equal size"):
-        stack(tensors)
 
 
 # -- batches of one size ---------------------------------------------------------------------------

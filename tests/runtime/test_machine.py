@@ -6,7 +6,6 @@ import importlib
 import importlib.metadata
 import os
 import re
-import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
@@ -141,6 +140,16 @@ def test_what_is_left_of_two_is_noticed(
         imported_again()
 
 
+def test_a_missing_library_of_the_system_is_named(
+    present: set[str], imported_again: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "cv2.py").write_text("raise ImportError('libGL.so.1: cannot open')")
+    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
+    importlib.invalidate_caches()
+    with pytest.raises(DependencyError, match=rf"\(libGL.so.1: cannot open\): pip install {OURS}"):
+        imported_again()
+
+
 # -- without matplotlib, which is an extra, everything but figures works ---------------------------
 
 
@@ -207,14 +216,3 @@ def test_commands_say_what_is_left_out(
     assert "solutions.png is left out" in capsys.readouterr().err
     assert main(["solutions", "run", "-o", "answers.png"]) == 2
     assert "extra plot" in capsys.readouterr().err
-
-
-def test_a_fit_without_files_loads_no_matplotlib() -> None:
-    code = (
-        "import sys, numpy as np\n"
-        "from fide_plugins import fit, Space, Float\n"
-        "fit(lambda p: np.full((8, 8), p['g']), np.full((8, 8), 0.4), Space(g=Float(0, 1)),\n"
-        "    budget=20, workers=0)\n"
-        "assert 'matplotlib' not in sys.modules"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)

@@ -107,6 +107,13 @@ def test_the_same_source_is_the_same_renderer(tmp_path: Path) -> None:
     assert prints[0] == prints[1] != prints[2] and prints[0] is not None
 
 
+def test_a_file_that_has_changed_since_says_nothing(tmp_path: Path) -> None:
+    file = tmp_path / "scene.py"
+    file.write_text("\n\ndef render(p: [\n", "utf-8")  # as in an editor, half written
+    assert fingerprint_of(defined(file, CODE)) is None
+    assert fingerprint_of(defined(tmp_path / "gone.py", CODE)) is None
+
+
 def stated(version: object) -> Any:
     def render(params: object) -> None:
         """Nothing."""

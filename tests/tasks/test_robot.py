@@ -133,7 +133,7 @@ def test_samples_soften_edges_and_shadows_darken_the_floor(task: Robot) -> None:
         ({"samples": -1}, "samples must be a whole number >= 0, not -1"),
         ({"samples": 0.5}, "samples must be a whole number"),
         ({"shadows": 1}, "shadows must be True or False, not 1"),
-        ({"spp": 8}, "robot has no option 'spp'; it has camera, model, samples, shadows, target"),
+        ({"spp": 8}, "robot has no option 'spp'; it has model, samples, shadows, target"),
     ],
 )
 def test_bad_options_are_refused(options: dict[str, Any], message: str) -> None:

@@ -1,18 +1,14 @@
-"""Robot: models of the user's own, with rooms and cameras; and what is no Panda."""
+"""Robot: models of the user's own, with a room; and what is no Panda."""
 
 from __future__ import annotations
 
-import logging
-import sys
-import types
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fide_tasks import panda, robot_model
+from fide_tasks import panda
 from fide_tasks.robot import Robot
 
 pytestmark = pytest.mark.usefixtures("opengl")
@@ -67,11 +63,11 @@ def test_a_model_file_has_the_same_kinematics(tmp_path: Path, task: Robot) -> No
     assert Robot(16, model=str(arm(tmp_path))).target.shape == (16, 16, 3)
 
 
-def test_a_model_keeps_its_own_room_and_cameras(tmp_path: Path) -> None:
+def test_a_model_keeps_its_own_room(tmp_path: Path) -> None:
     extra = (
         '<asset><texture type="skybox" builtin="flat" rgb1="0 1 0" rgb2="0 1 0" width="8" '
         'height="8"/></asset><worldbody><geom type="plane" size="1 1 1" rgba="1 0 0 1"/>'
-        '<light pos="0 0 3" dir="0 0 -1"/><camera name="above" pos="0 0 4"/></worldbody>'
+        '<light pos="0 0 3" dir="0 0 -1"/></worldbody>'
     )
     file = arm(tmp_path, extra=extra)
     task = Robot(64, model=file)
@@ -80,51 +76,12 @@ def test_a_model_keeps_its_own_room_and_cameras(tmp_path: Path) -> None:
     assert task._model.nlight == 1
     image = task.target
     np.testing.assert_allclose(image[0, 0], [0, 1, 0], atol=0.01)
-    above = Robot(64, model=file, camera="above").render(np.full((1, 7), 0.5))[0]
-    assert (above[2:8, 2:8, 1] > 0.9).all(), "the sky around the floor"
-    assert above[20, 20, 0] > 3 * above[20, 20, 1:].max(), "the floor, with what it reflects"
-    with pytest.raises(ValueError, match="no camera 'below'; it has above"):
-        Robot(64, model=file, camera="below")
-    with pytest.raises(ValueError, match="no camera 'above'; it has none with a name"):
-        Robot(64, camera="above")
 
 
-def test_menagerie_is_found_by_robot_descriptions(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    name = "robot_descriptions.panda_mj_description"
-    module: Any = types.ModuleType(name)
-    module.MJCF_PATH = str(arm(tmp_path))
-    monkeypatch.setitem(sys.modules, "robot_descriptions", types.ModuleType("robot_descriptions"))
-    monkeypatch.setitem(sys.modules, name, module)
-    assert Robot(16, model="menagerie").target.shape == (16, 16, 3)
-    monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(ImportError, match=r"pip install robot_descriptions, or pass the path"):
-        Robot(16, model="menagerie")
-
-    def fail(name: str) -> None:
-        raise RuntimeError("git: no route to host")
-
-    monkeypatch.setattr(robot_model.importlib, "import_module", fail)  # type: ignore[attr-defined]
-    with pytest.raises(OSError, match=r"git: no route to host.*panda.xml"):
-        Robot(16, model="menagerie")
-
-
-def test_models_that_are_no_panda_are_named(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    with pytest.raises(ValueError, match=r"not a Panda: .*seven hinge.* has 6 \(joint1, .*joint6"):
-        Robot(16, model=arm(tmp_path, joints=6))
-    with pytest.raises(ValueError, match=r"has 0 \(none\)"):
-        Robot(16, model=arm(tmp_path, joints=0))
-    Robot(16, model=arm(tmp_path, name="swivel_{}"))  # seven hinges of any names
-    assert not caplog.records
-    file = arm(tmp_path)
-    file.write_text(file.read_text().replace("0.384", "0.5"))
-    with caplog.at_level(logging.WARNING, "fide_tasks"):
-        Robot(16, model=file).render(np.zeros((1, 7)))
-    assert "joint 6" in caplog.text  # joint 5 turns about the link that is too long
-    assert "elsewhere than a Panda's" in caplog.text
+@pytest.mark.parametrize(("joints", "named"), [(6, r"has joint1, .*joint6"), (0, "has none")])
+def test_models_that_are_no_panda_are_named(tmp_path: Path, joints: int, named: str) -> None:
+    with pytest.raises(ValueError, match=rf"not a Panda: .*seven hinge.* {named}"):
+        Robot(16, model=arm(tmp_path, joints=joints))
 
 
 def test_files_that_are_missing_or_malformed_are_named(tmp_path: Path) -> None:

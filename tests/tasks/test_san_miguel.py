@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import copy
 import importlib.util
-import re
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -114,62 +112,9 @@ def test_x_star_depends_on_the_seed_alone() -> None:
     np.testing.assert_array_equal(one, two)
 
 
-CUBE_OBJ = "".join(
-    f"v {6 + x} {5.5 + y} {1 + z}\n" for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)
-) + "".join(
-    f"f {a}\n"
-    for a in ("1 2 4 3", "5 7 8 6", "1 5 6 2", "3 4 8 7", "1 3 7 5", "2 6 8 4")
-)  # fmt: skip
-
-
-def test_a_mesh_appears_where_the_camera_should_see_it(tmp_path: Path) -> None:
-    path = tmp_path / "cube.obj"
-    path.write_text(CUBE_OBJ)
-    task = SanMiguel(64, scene=path)
-    without = AHEAD.copy()
-    without[4] = 0.0  # looking the other way
-    image, sky = task.reference(AHEAD), task.reference(without)
-    rows, columns = np.nonzero(np.abs(image - sky).max(axis=2) > 0.05)
-    # Its front is 9 m away and spans z from 0 to 2, to the right of z = 5, and y from 4.5 to 6.5.
-    scale = 32 / np.tan(np.radians(65 / 2)) / 9
-    np.testing.assert_allclose([rows.min(), rows.max() + 1], [32 - scale, 32 + scale], atol=1)
-    front = gray(image)[31, round(32 + 3.2 * scale) : round(32 + 4.8 * scale)]
-    assert columns.max() == pytest.approx(32 + 5 * scale, abs=1)
-    assert front.std() < 0.05, "one face, evenly lit"
-
-
-def test_a_mesh_has_the_colors_of_its_vertices(tmp_path: Path) -> None:
-    path = tmp_path / "wall.ply"
-    path.write_text(
-        "ply\nformat ascii 1.0\nelement vertex 4\n"
-        + "".join(f"property float {name}\n" for name in "xyzrgb")
-        + "element face 2\nproperty list uchar int vertex_indices\nend_header\n"
-        + "".join(
-            f"10 {y} {z} 0 {green} 0\n"
-            for y, z, green in ((0, 0, 0.1), (0, 10, 0.1), (11, 10, 0.9), (11, 0, 0.9))
-        )
-        + "3 0 1 2\n3 0 2 3\n"
-    )
-    image = SanMiguel(32, scene=path, reference_spp=64).reference(AHEAD)[:, 16]
-    assert image[:, [0, 2]].max() < 0.05
-    assert image[0, 1] > image[-1, 1] + 0.1
-
-
-@pytest.mark.parametrize(
-    ("name", "text"),
-    [("a.obj", "v 1 2 x\n"), ("a.obj", "# nothing\n"), ("a.ply", "ply nonsense\n")],
-)
-def test_meshes_that_cannot_be_used_are_named(tmp_path: Path, name: str, text: str) -> None:
-    (tmp_path / name).write_text(text)
-    with pytest.raises(ValueError, match=rf"Mitsuba cannot load the scene .*{re.escape(name)}"):
-        SanMiguel(8, scene=tmp_path / name).render(AHEAD[None])
-
-
 @pytest.mark.parametrize(
     ("options", "error", "rule"),
     [
-        ({"scene": "missing.obj"}, FileNotFoundError, r"no scene file '.*missing\.obj'"),
-        ({"scene": "court.xml"}, ValueError, r"\.obj, \.ply, not 'court\.xml'"),
         ({"spp": 0}, ValueError, "spp must be a whole number >= 1, not 0"),
         ({"max_depth": 0}, ValueError, "max_depth must be a whole number >= 1"),
         ({"variant": "opencl"}, ValueError, "variant must be one of 'auto'"),

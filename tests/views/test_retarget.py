@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -73,25 +72,6 @@ def test_a_picture_that_was_rendered_is_found_at_once(
     if isinstance(weights, list):
         pairs = list(zip(opt.weights, weights, strict=True))
     assert all(one is other or np.array_equal(one, other) for one, other in pairs)
-
-
-def test_losses_and_books_are_those_of_the_next_picture(
-    scene: tuple[Images, Images, dict[str, Any]], answer: Float64, tmp_path: Path
-) -> None:
-    images, pictures, options = scene
-    opt = FIDE(6, pictures(answer[None]), seed=1, popsize=8, **options)
-    go_on(opt, images, 30)
-    following = pictures(np.clip(answer + 0.03, 0, 1)[None])
-    opt.retarget(following)
-    fresh = FIDE(6, following, seed=1, popsize=8, **options)
-    X = np.random.default_rng(0).random((4, 6))
-    np.testing.assert_allclose(opt.tell(X, images(X)), fresh.tell(X, images(X)), rtol=1e-12)
-    assert opt.best is not None
-    before = opt.best.loss
-    opt.save(tmp_path / "c")
-    again = FIDE.load(tmp_path / "c")
-    np.testing.assert_array_equal(go_on(opt, images, 8), go_on(again, images, 8))
-    assert opt.best is not None and opt.best.loss <= before
 
 
 def test_what_the_next_picture_hides_has_no_influence(render: Render, answer: Float64) -> None:

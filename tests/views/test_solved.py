@@ -101,10 +101,3 @@ def test_a_perfect_image_of_a_rounded_picture_equals_it(
         views = Views.read(rounded, value_range=(0, levels))
         assert is_solved(views, exact)
         assert not is_solved(views, np.float32(range_of_values) * disk(0.72, low, 0.9))
-
-
-def test_the_steps_of_a_picture_may_be_those_of_its_range_of_values() -> None:
-    exact = disk(0.7, 0.1, 0.9)
-    views = Views.read(np.round(200 * exact).astype(np.uint8), value_range=(0, 200))
-    assert is_solved(views, exact)
-    assert not is_solved(views, disk(0.7, 0.1, 0.92))

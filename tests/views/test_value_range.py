@@ -6,9 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fide_plugins import FIDE, Float, Space, fit, load_run
+from fide_plugins import FIDE, Float, Space
 from fide_plugins.errors import CheckpointError, ImageError, OptionError
-from fide_plugins.recording.storage import RunDirectoryError, read_run
 from fide_plugins.validation.images import as_batch
 from fide_plugins.validation.pixels import ValueRange
 
@@ -143,34 +142,3 @@ def test_the_next_picture_has_the_range_of_the_first() -> None:
     with pytest.raises(ImageError, match=r"got values in .*give a wider value_range"):
         opt.retarget(20 * TARGET)
     np.testing.assert_allclose(opt.target[..., 0], 8 * TARGET, rtol=1e-5)
-
-
-@pytest.mark.figures
-def test_a_fit_of_a_signed_field(tmp_path: Path) -> None:
-    target = 10 * TARGET - 3
-    options: dict[str, Any] = {"workers": 0, "seed": 0, "out": tmp_path / "run", "until": "budget"}
-    result = fit(field, target, SPACE, budget=150, value_range=(-3, 17), **options)
-    assert result.best is not None and result.best.image is not None
-    assert result.params["power"] == pytest.approx(1, abs=1e-3)
-    np.testing.assert_allclose(result.best.image[..., 0], target, atol=0.02)
-    assert "value range: -3 to 17" in repr(result)
-    written = load_raw(tmp_path / "run" / "best.tif")
-    np.testing.assert_allclose(written, result.best.image, atol=1e-6)
-    loaded = load_run(tmp_path / "run")
-    assert loaded.value_range == result.value_range == (-3.0, 17.0) and loaded.best is not None
-    np.testing.assert_array_equal(loaded.best.image, result.best.image)
-    np.testing.assert_allclose(loaded.target, result.target, atol=0.51 * 20 / 255)
-    assert result.plot() and "value range" in repr(loaded)
-    run = read_run(tmp_path / "run")
-    assert run is not None and run["settings"]["value_range"] == [-3.0, 17.0]
-    assert run["totals"]["clipped"] == result.clipped == 0
-    with pytest.raises(RunDirectoryError, match="value_range is .* there and .* here"):
-        fit(field, target, SPACE, budget=200, value_range=(-3, 18), resume=True, **options)
-    again = fit(field, target, SPACE, budget=160, value_range=(-3, 17), resume=True, **options)
-    assert again.evaluations == 160
-
-
-def load_raw(path: Path) -> Any:
-    from fide_plugins.validation.image_files import read_pixels
-
-    return read_pixels(path, None, raw=True)

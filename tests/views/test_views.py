@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from fide_plugins import FIDE, losses
 from fide_plugins.errors import CheckpointError, ImageError, LossError
 from fide_plugins.runtime import checkpoint
 from fide_plugins.types import Float32, Float64
+from fide_plugins.views.views import Views, views_of
 
 Render = Callable[[Float64], Float32]
 RNG = np.random.default_rng(3)
@@ -138,17 +138,6 @@ def test_wrong_images_change_nothing(told: Any, message: str) -> None:
     assert opt.evaluations == 4
 
 
-def test_clipped_values_name_the_view() -> None:
-    opt = FIDE(3, [A, B], seed=0, popsize=4)
-    with pytest.warns(RuntimeWarning, match="view 1: .*clipped"):
-        opt.tell(opt.ask(), [images()[0], images()[1] + 1.5])
-
-
-def test_a_made_loss_is_of_one_view() -> None:
-    with pytest.raises(LossError, match="made for one target, and there are 2 views"):
-        FIDE(3, [A, B], loss=losses.make("mse", A))
-
-
 @pytest.mark.parametrize("broken", ["one weight too few", "another size", "no picture"])
 def test_a_forged_checkpoint_is_refused(broken: str, tmp_path: Path) -> None:
     opt = FIDE(3, [A, B], mask=[None, np.eye(12, 9, dtype=np.float32)], seed=0, popsize=4)
@@ -164,17 +153,17 @@ def test_a_forged_checkpoint_is_refused(broken: str, tmp_path: Path) -> None:
         FIDE.load(tmp_path / "c")
 
 
-@pytest.mark.parametrize("shape", [(6, 8, 8), (6, 8, 2), (5, 6, 8), (7, 6, 8, 3)])
-def test_several_pictures_in_one_array_become_views_as_the_error_says(
-    shape: tuple[int, ...],
-) -> None:
-    image = np.random.default_rng(0).random(shape)
-    with pytest.raises(ImageError, match="of several pictures make views") as caught:
-        FIDE(2, image)
-    (remedy,) = re.findall(r"make views: (.*), a list", str(caught.value))
-    views = eval(remedy, {"image": image})
-    opt = FIDE(2, views, seed=0)
-    opt.tell(opt.ask(1), [[view] for view in views])
-    assert opt.best is not None and opt.best.loss == pytest.approx(0, abs=1e-12)
-    with pytest.raises(ImageError, match="make views"):
-        opt.tell(opt.ask(1), [[image] for _ in views])
+def test_the_images_of_one_candidate() -> None:
+    views = Views.read([A, B])
+    np.testing.assert_array_equal(views.batch_of_one([A, B], print)[0], views.target)
+    np.testing.assert_array_equal(Views.read(A).batch_of_one(A, print)[0], A)
+    with pytest.raises(ImageError, match="a render is a list of 2 images"):
+        views.batch_of_one([A], print)
+    with pytest.raises(LossError, match="made for one target, and there are 2 views"):
+        FIDE(3, [A, B], loss=losses.make("mse", A))
+
+
+def test_a_mask_needs_a_target() -> None:
+    assert views_of(None, None, None) is None
+    with pytest.raises(ImageError, match="belong to a target: set target="):
+        views_of(None, A[..., 0], None)

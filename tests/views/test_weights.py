@@ -82,22 +82,6 @@ def test_hidden_pixels_may_have_any_value(value: float, form: str) -> None:
         np.testing.assert_array_equal(shown[:, 12:], np.clip(np.nan_to_num(value, nan=0), 0, 1))
 
 
-@pytest.mark.parametrize("hidden", [0.5, np.nan, 255.0])
-def test_what_counts_is_checked_as_without_a_mask(hidden: float) -> None:
-    opt = FIDE(3, TARGET, mask=HALF, popsize=4, seed=0)
-    X, images = opt.ask(1), hidden_as(TARGET, hidden)[None]
-    for value, message in ((np.nan, "must be finite, got 1 NaN"), (200, "another scale")):
-        bad = images.copy()
-        bad[0, :, :11] = 200 if value == 200 else 0.5
-        bad[0, 0, 0, 0] = value
-        with pytest.raises(ImageError, match=message):
-            opt.tell(X, bad)
-    bad = images.copy()
-    bad[0, 0, 0] = 1.2
-    with pytest.warns(RuntimeWarning, match=r", 1\.2].*clipped"):
-        opt.tell(X, bad)
-
-
 @pytest.mark.parametrize("value", WILD)
 def test_the_target_may_have_any_value_where_it_is_hidden(value: float) -> None:
     plain, wild = (FIDE(3, hidden_as(TARGET, v), mask=HALF, seed=0) for v in (0.0, value))
@@ -114,16 +98,6 @@ def test_the_target_may_have_any_value_where_it_is_hidden(value: float) -> None:
     np.testing.assert_array_equal(views.weights[1], HALF)
     rgba = np.dstack([hidden_as(TARGET, value), HALF])
     assert np.isfinite(Views.read(rgba, "alpha").target).all()
-
-
-def test_views_with_holes() -> None:
-    opt = FIDE(3, [TARGET, TARGET], mask=[None, HALF], popsize=4, seed=0)
-    images = RNG.random((2, 20, 24, 3), np.float32)
-    expected = opt.evaluator.loss([images, images])
-    wild = hidden_as(images, np.nan)
-    np.testing.assert_array_equal(opt.tell(opt.ask(2), [images, wild]), expected)
-    with pytest.raises(ImageError, match="view 0: the batch of images must be finite"):
-        opt.tell(opt.ask(2), [wild, images])
 
 
 def test_alpha_of_the_target(tmp_path: Path) -> None:

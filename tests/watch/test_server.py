@@ -212,17 +212,6 @@ def test_what_is_no_directory_and_no_port(tmp_path: Path, server: Server) -> Non
         serve(tmp_path, server.server_port)
 
 
-@pytest.mark.parametrize("error, said", [(ConnectionResetError(), False), (KeyError("x"), True)])
-def test_only_a_browser_that_leaves_is_no_error(
-    server: Server, capsys: pytest.CaptureFixture[str], error: Exception, said: bool
-) -> None:
-    try:
-        raise error
-    except Exception:
-        server.handle_error(None, ("127.0.0.1", 1))
-    assert bool(capsys.readouterr().err) is said
-
-
 def many_pixels(width: int, height: int) -> bytes:
     """PNG that says so many pixels, in a thousandth of their bytes."""
     rows = zlib.compressobj(1)

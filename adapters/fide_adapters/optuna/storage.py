@@ -56,7 +56,7 @@ class Ask:
 
     optimizer: digest of settings, problem and search space; generations and slots are comparable
         only between trials in which it is equal.
-    generation, slot: name of the candidate, see `fide_plugins.distributed.replica`.
+    generation, slot: name of the candidate, see `fide_adapters.optuna.replica`.
     began: generation in which the search began that the candidate belongs to.
     guided: False if only losses, not images, said where it began.
     proposed: whether a proposer made the candidate.

@@ -20,11 +20,11 @@ from optuna.trial import FrozenTrial, TrialState
 from torch import Tensor
 
 from fide_adapters.optuna import storage
+from fide_adapters.optuna.replica import Replica, Role
 from fide_adapters.optuna.search_space import Distributions, SearchSpace, common
 from fide_adapters.optuna.settings import Settings
 from fide_adapters.optuna.storage import IMAGE, MOST_NAMED, SEED, Ask, Trials
 from fide_adapters.optuna.trials import History, News, TrialOrder, loss_of
-from fide_plugins.distributed.replica import Replica, Role
 from fide_plugins.fide import FIDE
 from fide_plugins.space import Float, Space
 
@@ -53,7 +53,7 @@ class StoredFeaturesNeeded(Exception):
 
 
 class StudyOptimizer:
-    """The replica of one search space, see `fide_plugins.distributed.replica`.
+    """The replica of one search space, see `fide_adapters.optuna.replica`.
 
     make: makes its optimizer.
     digest: of search space and settings; workers with equal digests have the same optimizer.
@@ -211,7 +211,8 @@ class StudyState:
         self._common: Distributions | None = None  # what all completed trials have in common
         self._optimizers: OrderedDict[str, StudyOptimizer] = OrderedDict()
         self._first = np.empty(0)  # coordinates of the first candidate
-        self._distributions: dict[str, BaseDistribution] = {}  # the latest search space
+        self._given: dict[str, BaseDistribution] = {}  # the latest search space
+        self._distributions: dict[str, BaseDistribution] = {}  # those of several values
         self._digest = ""
 
     # -- before a trial ----------------------------------------------------------------------------
@@ -295,6 +296,8 @@ class StudyState:
         if trial.number >= len(self._trials):
             self.update(study)
         self._search(distributions)
+        if not self._distributions:
+            return {}
         optimizer = self._optimizer()
         evaluation = partial(self._evaluation, study)
         optimizer.process(self._trials, evaluation)
@@ -315,9 +318,10 @@ class StudyState:
 
     def _search(self, distributions: Distributions) -> None:
         """Make these the current search space."""
-        if distributions != self._distributions:
-            self._distributions = dict(distributions)
-            self._digest = self._settings.digest_of(distributions)
+        if distributions != self._given:
+            self._given = dict(distributions)
+            self._distributions = common(distributions, distributions)
+            self._digest = self._settings.digest_of(self._distributions)
 
     def _optimizer(self) -> StudyOptimizer:
         """Optimizer of the current search space; of those used least recently some are dropped."""

@@ -14,24 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from fide_lab.baselines.base import Baseline as Baseline
-    from fide_lab.baselines.dibo import DiBO as DiBO
-    from fide_lab.baselines.evolution import CMA as CMA, Random as Random
-    from fide_lab.baselines.image_based import (
-        EKI as EKI,
-        FIDEAnnealing as FIDEAnnealing,
-        Inverse as Inverse,
-    )
-    from fide_lab.baselines.libraries import (
-        DFOLS as DFOLS,
-        DualAnnealing as DualAnnealing,
-        nevergrad as nevergrad,
-        optuna as optuna,
-    )
-    from fide_lab.baselines.zerograds import ZeroGrads as ZeroGrads
+from typing import Any
 
 PLACES: Mapping[str, str] = {
     "cma": "fide_lab.baselines.evolution:CMA",
@@ -56,13 +39,12 @@ _MODULES = {name: module for module, _, name in (place.partition(":") for place 
 
 __all__ = sorted(_MODULES)
 
-if not TYPE_CHECKING:
 
-    def __getattr__(name: str) -> Any:
-        """Import a baseline the first time somebody asks for it."""
-        if name in _MODULES:
-            return getattr(import_module(_MODULES[name]), name)
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+def __getattr__(name: str) -> Any:
+    """Import a baseline the first time somebody asks for it."""
+    if name in _MODULES:
+        return getattr(import_module(_MODULES[name]), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:

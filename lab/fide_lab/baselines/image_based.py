@@ -18,8 +18,7 @@ from torch import Tensor
 from fide_lab.baselines.base import ImageBased, Proposals
 from fide_lab.baselines.libraries import Search, Sequential, anneal, descent
 from fide_plugins.denoiser import Denoise, Network
-from fide_plugins.denoiser.sampling import whitened
-from fide_plugins.denoiser.training import WhitenedLoss
+from fide_plugins.denoiser.training import standard_normal
 from fide_plugins.errors import OptionError
 from fide_plugins.proposers.diffusion import DiffusionProposer
 from fide_plugins.runtime.schema import GENERATOR, Schema, anything, array, check, maybe, row
@@ -39,17 +38,11 @@ class PosteriorSampler:
     noise.  Its first step, where the noise is so large that z carries no information, is the
     regression E[x | image], which averages the modes.
 
-    Parameters
-    ----------
-    dim : d, the number of parameters.
-    steps : of Euler's method for a sample; noise levels fall geometrically.
-    seed : of everything random.
-    **options : of the `DiffusionProposer` (epochs, learning_rate, batch_size, device, width, ...).
+    dim: d, the number of parameters.
+    steps: of Euler's method for a sample; noise levels fall geometrically.
+    options: of the `DiffusionProposer` (epochs, learning_rate, batch_size, device, width, ...).
 
-    Raises
-    ------
-    OptionError
-        if `steps` is below 1, or as the `DiffusionProposer`.
+    Raises OptionError if `steps` is below 1, or as the `DiffusionProposer`.
     """
 
     def __init__(self, dim: int, *, steps: int = 18, seed: int = 0, **options: Any) -> None:
@@ -142,6 +135,46 @@ _SCHEMA: Schema = {
     "scale": maybe(row(array("C"), array("C"))),
     "rng": GENERATOR,
 }
+
+
+class WhitenedLoss:
+    """Objective for `whitened` and data with standard deviation `std`.
+
+    Karras et al. 2022, Table 1: ln t ~ N(log_mean, log_std^2).  With the weight
+    (1 + t^2) / (t std)^2, a network with output zero has loss 1 at every noise level.
+    """
+
+    def __init__(self, log_mean: float = 0.0, log_std: float = 1.5) -> None:
+        self.log_mean, self.log_std = log_mean, log_std
+
+    def __call__(
+        self, denoise: Denoise, x: Tensor, std: Tensor, generator: torch.Generator
+    ) -> Tensor:
+        """One draw of time and noise for each example."""
+        normal = standard_normal((len(x), 1), x, generator)
+        t = (self.log_mean + self.log_std * normal).exp()
+        s = t * std  # (B, d)
+        eps = standard_normal(x.shape, x, generator)  # ~ N(0, I)
+        error = (denoise(x + s * eps, s) - x) / s
+        return ((1 + t * t) * error.square()).mean()
+
+
+def whitened(network: Network, mean: Tensor | float, std: Tensor | float) -> Denoise:
+    """Denoiser of data with this `mean` and `std`, [d] or one number for all.
+
+    With u = (z - mean) / std and r = s / std, the estimate is
+    u / (1 + r^2) + r / sqrt(1 + r^2) * network(u / sqrt(1 + r^2), r); the network's input and
+    its ideal output have variance 1 at every noise level.
+    """
+
+    def denoise(z: Tensor, s: Tensor) -> Tensor:
+        r = s / std  # [B, d]
+        variance = 1 + r * r
+        u = (z - mean) / std
+        remainder = network(u / variance.sqrt(), r)
+        return mean + std * (u / variance + r / variance.sqrt() * remainder)
+
+    return denoise
 
 
 def _whiten_box(network: Network) -> Denoise:

@@ -136,7 +136,7 @@ def ball(p: Values) -> Float32:
     right /= np.linalg.norm(right)
     rays = _lens() @ np.stack([right, np.cross(right, ahead), ahead])
     center = np.array([p["x"], p["radius"], p["z"]])
-    image = np.empty((*rays.shape[:2], 3)) + _SKY
+    image = np.zeros_like(rays) + _SKY
     t = -eye[1] / np.minimum(rays[..., 1], -1e-9)
     floor = rays[..., 1] < -1e-3
     place = eye + rays * t[..., None]

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import concurrent.futures
 import multiprocessing
-import os
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
@@ -103,26 +101,3 @@ def test_after_an_objective_has_raised_minimize_goes_on(name: str | None, tmp_pa
     assert failed > 1 and optimizer.num_ask == 40
     assert optimizer.num_tell == optimizer.num_images == 40 - len(raised)
     assert optimizer.fide.state.population.pending == 0
-
-
-@pytest.mark.slow
-def test_a_worker_that_is_killed_costs_nothing_but_time(tmp_path: Path) -> None:
-    """SIGKILL in the midst: every candidate counts exactly once."""
-    optimizer = fide(budget=40, workers=2)
-    victim = tmp_path / "killed"
-    inner = traveling().function
-
-    def sometimes_deadly(x: Any) -> Any:
-        time.sleep(0.02)
-        try:
-            victim.touch(exist_ok=False)
-        except FileExistsError:
-            return inner(x)
-        os.kill(os.getpid(), 9)
-
-    counted: list[Any] = []
-    optimizer.register_callback("tell", lambda _, c, loss: counted.append(c.uid))
-    with dask(tmp_path) as executor:
-        optimizer.minimize(sometimes_deadly, executor=executor)
-    assert victim.exists()
-    assert len(set(counted)) == len(counted) == 40 == optimizer.num_images

@@ -71,17 +71,6 @@ def test_point_23_late_and_unknown_points_count_as_in_fide() -> None:
     assert optimizer.fide.evaluations == alone.evaluations == 132
 
 
-def test_a_candidate_of_another_search_is_the_point_of_its_value() -> None:
-    """The other one searches around another value, by other steps."""
-    near = ng.p.Array(init=[0.0] * 6).set_mutation(sigma=1.0)
-    far = ng.p.Array(init=[5.0] * 6).set_mutation(sigma=3.0)
-    candidate = fide(near).ask()
-    optimizer, twin = fide(far), fide(far)
-    optimizer.tell(candidate, TARGET)
-    twin.tell(twin.parametrization.spawn_child(new_value=candidate.value), TARGET)
-    np.testing.assert_array_equal(optimizer.fide.best.x, twin.fide.best.x)
-
-
 def test_point_23_a_suggestion_is_asked_and_injected() -> None:
     optimizer, alone = fide(popsize=8), FIDE(6, TARGET, popsize=8, seed=0)
     x = np.full(6, 0.4)

@@ -92,7 +92,7 @@ def test_point_19_bad_settings() -> None:
         with pytest.raises(OptionError, match=f"{name} is an argument of its own"):
             ParametrizedFIDE(options={name: None})
     for name in ("x0", "sigma0"):
-        with pytest.raises(OptionError, match=f"{name} is .* of the parametrization: set its init"):
+        with pytest.raises(OptionError, match=f"{name} is .* of the parametrization: not options"):
             ParametrizedFIDE(options={name: 0.1})
     with pytest.raises(OptionError, match="must be a dictionary of options"):
         ParametrizedFIDE(options="proposer=none")  # type: ignore[arg-type]

@@ -19,11 +19,13 @@ from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+sys.path.insert(0, str(Path(__file__).parents[3]))  # the repository
 
 import optuna
-from conftest import Bench  # type: ignore[import-not-found]  # beside this program
 from optuna.storages import BaseStorage, JournalStorage, RDBStorage
 from optuna.storages.journal import JournalFileBackend
+
+from tests.adapters.optuna.conftest import Bench
 
 BENCH = Bench()
 

@@ -12,9 +12,9 @@ from optuna.storages import InMemoryStorage
 from optuna.trial import FrozenTrial, Trial, TrialState
 
 from fide_adapters.optuna import FIDESampler
+from fide_adapters.optuna.replica import Replica
 from fide_adapters.optuna.study import StudyOptimizer
 from fide_plugins import FIDE
-from fide_plugins.distributed.replica import Replica
 from fide_plugins.types import Float64
 
 from .conftest import Bench, counts_of, state_of

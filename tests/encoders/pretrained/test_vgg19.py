@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +10,7 @@ import torch
 
 from fide_plugins import encoders
 from fide_plugins.encoders.pretrained import backbones
-from fide_plugins.encoders.pretrained.vgg19 import VGG19Encoder
 from fide_plugins.errors import OptionError, WeightsNotFoundError
-from fide_plugins.fide import FIDE
 
 RNG = np.random.default_rng(14)
 LAYERS = {  # name: number in torchvision's `features`, pixels of a patch, channels
@@ -51,23 +48,6 @@ def test_tokens_are_places_of_the_layer(layer: str, cached_weights: Path) -> Non
 def test_versions(cached_weights: Path) -> None:
     default, layer = encoders.make("vgg19"), encoders.make("vgg19:relu4_1")
     assert default.version.startswith("vgg19-2-relu5_4-") and layer.version != default.version
-
-
-def test_weights_of_one_s_own_reach_the_optimizer(
-    cached_weights: Path, no_weights: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """By a name, which is registered."""
-    monkeypatch.setattr(encoders._REGISTRY, "_factories", dict(encoders._REGISTRY._factories))
-    path = cached_weights / "vgg19-dcbb9e9d.pth"
-    encoders.register("my-vgg", partial(VGG19Encoder, weights=path))
-    opt = FIDE(3, np.zeros((32, 32, 3)), encoder="my-vgg")
-    assert opt.features_shape == (4, 512)
-    assert (
-        encoders.make("my-vgg:relu4_1").version
-        == VGG19Encoder(variant="relu4_1", weights=path).version
-    )
-    with pytest.raises(WeightsNotFoundError):
-        encoders.make("vgg19")
 
 
 @pytest.mark.parametrize("layer", ["relu1_3", "relu6_1", "relu5_0", "conv1_1", "", "relu5_4x"])

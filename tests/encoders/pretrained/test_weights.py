@@ -34,24 +34,6 @@ def published(content: bytes, folder: Path) -> Published:
 # -- finding ---------------------------------------------------------------------------------------
 
 
-def test_the_first_place_that_has_it(no_weights: Path, tmp_path: Path) -> None:
-    net = published(b"x", tmp_path)
-    own, other = tmp_path / "own.pth", tmp_path / "other.pth"
-    with pytest.raises(WeightsNotFoundError, match=rf"no weights of Net at {net.cached}; do") as e:
-        net.find(how="; do this")
-    assert isinstance(e.value, FileNotFoundError)
-    net.cached.parent.mkdir(parents=True)
-    net.cached.write_bytes(b"")
-    assert net.cached.parent == no_weights / "checkpoints"
-    assert net.find() == net.find(others=[other]) == net.cached
-    other.write_bytes(b"")
-    assert net.find(others=[other]) == other
-    with pytest.raises(WeightsNotFoundError, match=str(own)):
-        net.find(own)  # the user's own file, and no other, even where there are others
-    own.write_bytes(b"")
-    assert net.find(own, others=[other]) == own
-
-
 def test_nothing_is_downloaded_unless_asked_for(no_weights: Path, tmp_path: Path) -> None:
     net = published(b"weights", tmp_path)
     with pytest.raises(WeightsNotFoundError):

@@ -6,7 +6,6 @@ import numpy as np
 import torch
 
 from fide_plugins import Float, Group, Space
-from fide_plugins.search.hypotheses import Hypotheses
 from fide_plugins.search.policy import MovePolicy
 from fide_plugins.types import Float64, Posterior
 
@@ -66,21 +65,3 @@ def refined_policy(draws: Float64, refined: Float64) -> MovePolicy:
         np.full(7, 0.5), np.full(7, 1 / 6), 9, torch.zeros(1, 3), 3, 0,
         SPACE.largest_family, SPACE.layout, Posterior(draws, refined),
     )  # fmt: skip
-
-
-def test_what_was_refined_is_rendered_first_and_searched_narrowly() -> None:
-    rng = np.random.default_rng(0)
-    draws, refined = rng.random((512, 7)), np.tile(TRUTH, (8, 1))
-    policy = refined_policy(draws, refined)
-    there, first = policy.hypotheses, np.concatenate([refined[:5], draws[:3]])
-    np.testing.assert_array_equal(policy.draw(rng), first)
-    there.learn([(1.0, TRUTH)], TRUTH, policy.known.exchangeability.distance)
-    assert there.next(policy.known, policy.start).std.max() < 0.01
-    assert begin(np.tile(TRUTH, (512, 1))).min() == 0.02  # a density may be wrong by as much
-
-    again = Hypotheses(None, 7, sets=True)
-    again.load_state_dict(there.state_dict())
-    np.testing.assert_array_equal(again.draw(policy.known, 20, rng), first)
-    np.testing.assert_array_equal(again.x, draws)
-    again.begin(None)
-    assert not len(again.draw(policy.known, 20, rng))

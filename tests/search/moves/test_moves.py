@@ -101,17 +101,6 @@ def test_split_puts_the_redundant_block_beside_the_overloaded_one(
     np.testing.assert_allclose(start.std[~wide], 1 / 48)
 
 
-def test_groups_are_blocks_and_leftovers(rng: np.random.Generator) -> None:
-    known = scene(STALLED, STAR)
-    known.exchangeability = Exchangeability(8, 3, [[0, 1], [2, 3], [4, 5]])
-    x = RelocateGroup().draw(known, 20_000, rng)
-    moved, counts = np.unique(x != STALLED, axis=0, return_counts=True)
-    expected = np.repeat(np.eye(4, dtype=bool), 2, axis=1)
-    np.testing.assert_array_equal(moved, expected[::-1])
-    assert abs(counts - 5_000).max() < 310  # five standard deviations
-    assert RelocateGroup().needs(known) is None
-
-
 def test_groups_are_found_by_sensitivity(rng: np.random.Generator) -> None:
     known = scene(np.array([0.1, 0.7, 0.4, 0.8, 0.6, 0.6, 0.9, 0.8]), STAR, exchangeable=False)
     assert RelocateGroup().needs(known) is Stage.SENSITIVITY
@@ -154,32 +143,6 @@ def test_neighbors_are_turned_and_mirrored_by_turns(rng: np.random.Generator) ->
     assert kinds == {"t", "m", "tm", "mt", "tmt"}
 
 
-def test_the_other_description_of_a_rotation_is_proposed(rng: np.random.Generator) -> None:
-    """(a, b, c) and (a + 180, -b, c + 180) degrees are one rotation; joints reach 160 to 180."""
-
-    def rotation(x: Float64, reach: float) -> Float64:
-        a, b, c = np.radians(reach) * (2 * x[2:5] - 1)
-        return turn_z(a) @ turn_x(b) @ turn_z(c)
-
-    here = np.array([0.5, 0.5, 0.2, 0.3, 0.9, 0.5, 0.5, 0.5])
-    known = scene(here, STAR, exchangeable=False)
-    for reach in (160.0, 170.0, 180.0):
-        X = HalfTurn().draw(known, 500, rng)
-        far = X[np.abs(X - here)[:, 2:5].min(axis=1) > 0.1]
-        misfit = [np.abs(rotation(x, reach) - rotation(here, reach)).max() for x in far]
-        assert min(misfit) < 0.2, reach
-
-
-def turn_z(angle: float) -> Float64:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-
-
-def turn_x(angle: float) -> Float64:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
-
-
 def test_new_searches_begin_in_different_places(rng: np.random.Generator) -> None:
     known = scene(STALLED, STAR)
     x = RandomRestart().draw(known, 20_000, rng)
@@ -192,10 +155,3 @@ def test_new_searches_begin_in_different_places(rng: np.random.Generator) -> Non
     assert all((start.std <= SIGMA0).all() for start in starts)
     for start in starts:  # which may all become as wide as the first search
         np.testing.assert_allclose(start.widest * start.std, SIGMA0)
-
-
-def test_new_descents_stay_where_the_user_said(rng: np.random.Generator) -> None:
-    known = scene(STALLED, STAR)
-    known.sigma0 = np.full(8, 0.02)
-    x = RandomRestart().draw(known, 1000, rng)
-    assert x.min() >= 0.44 and x.max() <= 0.56

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -55,13 +54,6 @@ def steps(moves: MovePolicy, render: Any, seed: int, n: int) -> list[tuple[Stage
     return seen
 
 
-def test_the_first_search_begins_at_x0_and_has_nothing_to_beat() -> None:
-    moves = policy()
-    assert moves.stage is Stage.SEARCH and moves.goal == np.inf and moves.move is None
-    np.testing.assert_array_equal(moves.start.mean, np.full(8, 0.5))
-    np.testing.assert_array_equal(moves.start.std, np.full(8, 1 / 6))
-
-
 def test_exchangeability_is_tested_once_then_moves_follow() -> None:
     moves = policy()
     seen = steps(moves, exchangeable, 0, 200)
@@ -81,21 +73,6 @@ def test_without_blocks_other_moves_follow() -> None:
     assert names == {
         "half turn", "relocate group", "relocate segment", "refine", "random restart",
     }  # fmt: skip
-
-
-@pytest.mark.parametrize("groups", [None, [], BLOCKS.tolist()], ids=["found", "none", "declared"])
-def test_noise_is_measured_whether_blocks_are_found_or_declared(groups: Any) -> None:
-    rng, noise = np.random.default_rng(0), 0.01
-    moves = policy(groups=groups)
-    moves.after_search(exchangeable(np.full(8, 0.4)), 100, guided=True)
-    assert moves.stage is Stage.EXCHANGE and moves.noise is None
-    several = [replace(exchangeable(x), loss=noise * rng.random()) for x in moves.draw(rng)]
-    repeats = [one.loss for one in several if (one.x == 0.4).all()]
-    assert (len(several) == 2) == (groups is not None)
-    moves.learn(several, several[0].x)
-    assert moves.noise is not None and moves.noise > 0
-    assert moves.noise == pytest.approx(np.std(repeats, ddof=1))
-    assert moves.stage is not Stage.EXCHANGE or groups is None
 
 
 @pytest.mark.parametrize("render", [exchangeable, mixed])

@@ -109,19 +109,3 @@ def test_a_search_by_losses_alone_goes_on_with_the_next_hypothesis() -> None:
     moves.learn([sample(np.full(16, 0.1), row, 1.0 + i) for i, row in enumerate(x)], x[0])
     assert moves.after_search(None, 100, guided=False) is Stage.SEARCH
     assert moves.move == "learned" and not moves.guided
-
-
-def test_what_is_in_the_right_place_is_refined_before_anything_else_is_tried() -> None:
-    moves, rng = policy(), np.random.default_rng(0)
-    several = [sample(np.full(16, 0.1), x, 1.0 + i) for i, x in enumerate(moves.draw(rng))]
-    moves.learn(several, several[0].x)
-    below = moves.hypotheses.strict_above
-    assert below is not None and below < 3.0  # a tenth of the median, about 24
-    seen, loss = [], below
-    for gain in (1.0, 0.5, 0.0):  # in the right place; better by a half; no better
-        loss *= 1 - 0.5 * (gain == 0.5)
-        moves.after_search(sample(np.full(16, 0.1), HERE, loss), 100, guided=True)
-        seen.append((moves.stage, moves.move))
-        assert not moves.start.to_the_end, "other hypotheses wait"
-    refined, next_one = (Stage.SEARCH, "refine"), (Stage.SEARCH, "learned")
-    assert seen == [refined, refined, next_one]

@@ -88,11 +88,6 @@ def test_nothing_is_found_where_every_parameter_has_a_meaning_of_its_own(
     assert found.blocks is None
 
 
-def test_an_image_that_never_changes_says_nothing() -> None:
-    found, _ = find(6, lambda x: np.ones(16))
-    assert found.finished and found.blocks is None
-
-
 def test_painted_blocks_are_found_and_known_to_be_ordered() -> None:
     layout = contiguous(6, 2)
     hits = [find(12, lambda x: painted(x, layout), seed=seed)[0] for seed in range(120)]
@@ -137,22 +132,3 @@ def test_state_goes_on_between_rounds() -> None:
             each.learn(here, [sample(additive(row, layout), row) for row in each.draw(x)])
         assert copy.finished == original.finished
     np.testing.assert_array_equal(copy.blocks, original.blocks)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_blocks_with_integers_are_found(seed: int) -> None:
-    """Their points are rendered, and told, in the middle of their cells."""
-    layout = contiguous(4, 3)
-
-    def place(X: Float64) -> Float64:
-        placed = X.copy()
-        placed[:, 2::3] = (np.floor(4 * np.minimum(X[:, 2::3], 0.999)) + 0.5) / 4
-        return placed
-
-    found = Exchangeability(12, 3)
-    x = place(np.random.default_rng(seed).random((1, 12)))[0]
-    here = sample(additive(x, layout), x)
-    while not found.finished:
-        X = place(found.draw(here.x))
-        found.learn(here, [sample(additive(x, layout), x) for x in X], place)
-    np.testing.assert_array_equal(found.blocks, layout)

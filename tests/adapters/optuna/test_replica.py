@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import torch
 
+from fide_adapters.optuna.replica import Replica, Role
 from fide_plugins import encoders
-from fide_plugins.distributed.replica import Replica, Role
 from fide_plugins.fide import FIDE
 from fide_plugins.proposers.image_gate import ImageGate
 from fide_plugins.types import Float32, Float64
@@ -117,22 +117,6 @@ def test_replicas_agree_on_tests_and_moves_of_exchangeable_blocks(
             for replica in (first, second):
                 replica.tell(x, *result, generation=replica.generation, slot=slot)
         assert stages(first) == stages(second) and first.generation == second.generation
-
-
-def test_slots_beyond_the_generation_have_proposals_too(bench: Bench) -> None:
-    replica = Replica(bench.optimizer(fraction_rate=0.0, proposal_fraction=0.5, patience=50))
-    run(bench, replica, 40)
-    proposed = [replica.candidate(slot).proposed for slot in range(80)]
-    assert 30 <= sum(proposed) <= 50
-
-
-def test_members_may_come_in_any_slots(bench: Bench) -> None:
-    replica = Replica(bench.optimizer())
-    for slot in (3, 11, 900, 5, 0, 8, 7):
-        assert bench.told(replica, slot) is Role.MEMBER
-    assert replica.generation == 0
-    assert bench.told(replica, 1) is Role.MEMBER
-    assert replica.generation == 1
 
 
 def test_late_and_altered_count_as_such_and_injected_do_not(bench: Bench) -> None:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import torch
 
+from fide_adapters.optuna.replica import Replica
 from fide_plugins import encoders
-from fide_plugins.distributed.replica import Replica
 from fide_plugins.fide import FIDE
 from fide_plugins.population.candidate import columns
 from fide_plugins.proposers.linear import LinearProposer

@@ -1,1 +1,0 @@
-"""One optimizer in many processes."""
