@@ -19,15 +19,17 @@ from fide_plugins.types import Float32, Float64
 __all__ = ["Descents"]
 
 _ROUNDS = (
+    (0.0125, 0.005, 6, "S"),
     *((0.0125, 0.005, 6, kind) for kind in "JTT"),
     *((0.0125, 0.004, 4, kind) for kind in "JTT"),
     *((0.0, 0.003, 3, kind) for kind in "JTTT"),
     *((0.0, 0.002, 2, kind) for kind in "JTT"),
 )
-"""Blur in sides of the image, step of differences, descents, and whether a round measures Jacobians
-(J) or tries steps (T)."""
+"""Blur in sides of the image, step of differences, descents, and what a round does: it selects
+starts (S), measures Jacobians (J) or tries steps (T)."""
 _MOST_POINTS = 66  # of a round that measures Jacobians
 _MOST_AXES = 40
+_AROUND = 36  # points around a guess, of which starts are selected
 _APART = 0.02  # of the unit cube, in some parameter: another start
 _DAMPING, _LEAST_DAMPING, _LESS, _MORE = 1e-2, 1e-4, 0.1, 10.0
 _RIDGE = 1e-4  # of the mean square of all derivatives: what images do not show stays
@@ -47,7 +49,7 @@ class Descents(Stateful):
     SCHEMA: ClassVar[dict[str, Schema]] = {
         "round": whole(0, len(_ROUNDS)),
         "x": array("m", "d", low=0.0, high=1.0),
-        "losses": array("m"),
+        "losses": array("m", high=np.inf),
         "damping": array("m", low=0.0),
         "residuals": array("m", "f"),
         "jacobians": array("m", "d", "f"),
@@ -81,6 +83,12 @@ class Descents(Stateful):
         """Standard deviation of the present blur, in sides of the image."""
         return _ROUNDS[self.round][0] if self.under_way else 0.0
 
+    def begin_around(self, x: Float64, std: Float64, rng: np.random.Generator) -> None:
+        """Begin at the best of points around a guess x (d,)."""
+        apart = std * rng.standard_normal((_AROUND, len(x)))
+        apart[0] = 0.0
+        self._begin(self._rendered(x + apart))
+
     def begin(self, found: Sequence[tuple[float, Float64]]) -> None:
         """Begin at the best distinct ones of points that were found, as loss and x (d,)."""
         most = max(1, min(_ROUNDS[0][2], _MOST_POINTS // (self._axes.dim + 1)))
@@ -88,10 +96,13 @@ class Descents(Stateful):
         for _, x in sorted(found, key=lambda one: one[0]):
             if all(self._axes.difference(x, y).max() >= _APART for y in starts):
                 starts.append(x)
-        self._begin(np.array(starts[:most]))
+        self._begin(np.array(starts[:most]).reshape(-1, self._axes.dim))
+        self.round = 1  # these are selected
 
     def draw(self) -> Float64:
         """Candidates (n, d) of the present round; changes nothing."""
+        if _ROUNDS[self.round][3] == "S":
+            return self.x.copy()
         tries = self._neighbors if _ROUNDS[self.round][3] == "J" else self._trials
         return np.concatenate([tries(i) for i in range(len(self.x))])
 
@@ -100,6 +111,9 @@ class Descents(Stateful):
         known = {one.x.tobytes(): one for one in samples}
         aim = _flat(target)
         _, _, most, kind = _ROUNDS[self.round]
+        if kind == "S":
+            self.begin([(known[x.tobytes()].loss, x) for x in self.x if x.tobytes() in known])
+            return
         if kind == "J":
             self.residuals = np.zeros((len(self.x), len(aim)), np.float32)
             self.jacobians = np.zeros((*self.x.shape, len(aim)), np.float32)

@@ -185,7 +185,8 @@ class MovePolicy:
         self.descends = descends and self.descents.possible
         """Whether a run begins with descents."""
         if self.descends and self.stage is Stage.SEARCH:
-            self.begin_descents([(0.0, x0)])
+            self.descents.begin_around(x0, self.known.sigma0, np.random.default_rng((seed, 2)))
+            self.stage = Stage.DESCENT
         self.noise: float | None = None
         """Standard deviation of the loss of the first local optimum; None: it was not measured."""
         self.loss_only_searches = 0
@@ -408,8 +409,10 @@ class MovePolicy:
     def _descend(self, samples: Sequence[TrainingSample], target: Tensor) -> Stage:
         """Learn from a round of descents; searches begin where these end, the best first."""
         self.descents.learn(samples, target)
-        if self.descents.under_way:
+        if self.descents.under_way and len(self.descents.x):
             return self._go(Stage.DESCENT)
+        if not len(self.descents.x):  # no image is known
+            return self._go(Stage.SEARCH)
         if self.hypotheses.available:
             self.hypotheses.replace(self.descents.x)
             return self._begin_at_hypothesis()
