@@ -208,7 +208,8 @@ class FIDE(Saved):
             at_once=bool(o.coarse_to_fine),
             photo=o.photo,
         )
-        if moves.stage is Stage.DESCENT:
+        if moves.descends and not learned:
+            moves.begin_around_guess(np.random.default_rng((self.seed, 2)))
             scales.begin_at(moves.descents.share)
         moves.start = scales.patient(moves.start)
         kept = None

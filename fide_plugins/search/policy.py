@@ -168,13 +168,7 @@ class MovePolicy:
         self._candidates = max(_CANDIDATES, popsize)
         self.hypotheses = Hypotheses(posterior, dim, sets=bool(groups), place=self.known.place)
         self._resample = Resample(self.hypotheses)
-        family: list[Move] = [
-            Split(), HalfTurn(), RelocateGroup(), RelocateSegment(), Coarsen(), Refine(),
-            RandomRestart(),
-        ]  # fmt: skip
-        if self.known.values.discrete.any():
-            family.append(ChangeValue())
-        family.append(self._resample)
+        family = _family(self.known, self._resample)
         self._choice = Choice({move.name: move.prior_gain for move in family}, _COST * popsize)
         self._moves = {move.name: move for move in (*family, self.hypotheses)}
         self._rng = np.random.default_rng((seed, 1))
@@ -184,15 +178,17 @@ class MovePolicy:
         self.descents = Descents(axes, self.known.place)
         self.descends = descends and self.descents.possible
         """Whether a run begins with descents."""
-        if self.descends and self.stage is Stage.SEARCH:
-            self.descents.begin_around(x0, self.known.sigma0, np.random.default_rng((seed, 2)))
-            self.stage = Stage.DESCENT
         self.noise: float | None = None
         """Standard deviation of the loss of the first local optimum; None: it was not measured."""
         self.loss_only_searches = 0
         """Restarts because losses, not images, said so."""
         self.guided = True
         """Whether images said where to go on when the last search was over."""
+
+    def begin_around_guess(self, rng: np.random.Generator) -> None:
+        """Begin with descents from points around the guess."""
+        self.descents.begin_around(self.known.x0, self.known.sigma0, rng)
+        self.stage = Stage.DESCENT
 
     @property
     def goal(self) -> float:
@@ -499,6 +495,17 @@ class MovePolicy:
             raise ValueError(f"moves['incumbent'] is None in the stage {stage.value!r}")
         if stage is Stage.REMOVAL and state["exchangeability"]["blocks"] is None:
             raise ValueError("moves['exchangeability']['blocks'] is None while blocks are removed")
+
+
+def _family(known: Known, resample: Resample) -> list[Move]:
+    """Moves that a scene may need."""
+    family: list[Move] = [
+        Split(), HalfTurn(), RelocateGroup(), RelocateSegment(), Coarsen(), Refine(),
+        RandomRestart(),
+    ]  # fmt: skip
+    if known.values.discrete.any():
+        family.append(ChangeValue())
+    return [*family, resample]
 
 
 def _gain(before: float, after: float) -> float:
