@@ -120,7 +120,7 @@ def test_the_command_says_how_to_go_on(
         said = command.stderr.read()
     Path("full").unlink()  # before anything is rendered in this process
     assert os.waitstatus_to_exitcode(os.waitpid(command.pid, 0)[1]) == 1
-    assert "000002.npz: File too large; make room, or name another folder" in said
+    assert "000002.npz: File too large; make room, or name another" in said
     assert "what was rendered and learned is kept in m.fide.renders\nwhen that is mended, " in said
     assert "Traceback" not in said and "Exception ignored" not in said
     assert set(os.listdir("m.fide.renders")) == {"000000.npz", "000001.npz", "settings"}
