@@ -59,8 +59,9 @@ def board(p: Values, width: int = 160) -> tuple[Float32, Float32]:
     x, y, z = np.tensordot(to_board[:, :2], seen / bend, 1) + to_board[:, 2, None, None]
     z = np.where(abs(z) < 1e-9, 1e-9, z)
     x, y = x / z, y / z
-    covered = (x > -1.4) & (x < 9.4) & (y > -1.05) & (y < 6.05) & (z > 0)
-    black = (np.floor(x) + np.floor(y)) % 2 == 0
+    covered = (x > -0.7) & (x < 8.62) & (y > -1.1) & (y < 6.05) & (z > 0)
+    squares = (x > -0.53) & (x < 8.48) & (y > -0.95) & (y < 5.93)  # the outermost are cut
+    black = squares & ((np.floor(x) + np.floor(y)) % 2 == 0)
     image = np.where(covered, np.where(black, p["ink"], p["paper"]), p["bg"])
     return _smaller(image, width, height), _smaller(covered, width, height)
 
