@@ -59,7 +59,7 @@ def compare_anew(optimizer: FIDE, std: Float64 | None = None) -> None:
     results = list(compared.of(kept.x))
     start, now = Start(kept.x[order[0]].copy(), std), state.evaluations
     blurs = state.scales.left
-    state.retarget(evaluator.target_tokens, start, None)
+    state.retarget(evaluator.target_tokens, start, state.moves.hypotheses.posterior)
     state.memory = Memory(optimizer.options.memory_mb)
     for i in order:
         state.evaluations = int(kept.evaluations[i])
@@ -67,4 +67,5 @@ def compare_anew(optimizer: FIDE, std: Float64 | None = None) -> None:
     state.begin_after(now)
     state.comparisons += 1
     kept.rank(compared.losses)
-    state.begin_at_blurs(blurs)
+    if not state.begin_descents():
+        state.begin_at_blurs(blurs)

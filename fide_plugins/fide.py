@@ -57,6 +57,7 @@ if TYPE_CHECKING:
 __all__ = ["FIDE", "Decision"]
 
 _ARGUMENTS = ("dim", "weights", "value_range", "x0", "sigma0", "seed")
+_ROUGHLY = 0.1  # standard deviation of a guess from which descents begin, at most
 _COARSEST = 16  # pixels: smaller pictures are not blurred
 _STALLED = 20  # generations without improvement; or a quarter of all evaluations, if that is more
 
@@ -197,14 +198,19 @@ class FIDE(Saved):
         moves = MovePolicy(
             self.x0, setting.sigma0, popsize=k, target=self.target_tokens, channels=subsets[0],
             seed=self.seed, groups=groups, layout=layout, posterior=posterior,
+            descends=self._descends(learned=posterior is not None),
         )  # fmt: skip
         moves.start = setting.valid_start(moves.start, 1)
-        known = posterior is not None
+        learned = posterior is not None
         scales = ScaleSpace(
             self.views,
-            possible=self._may_blur and not known,
-            at_once=bool(o.coarse_to_fine or (o.photo and o.coarse_to_fine is None)),
+            possible=self._may_blur and not (learned or moves.descends),
+            at_once=bool(o.coarse_to_fine),
+            photo=o.photo,
         )
+        if moves.descends and not learned:
+            moves.begin_around_guess(np.random.default_rng((self.seed, 2)))
+            scales.begin_at(moves.descents.share)
         moves.start = scales.patient(moves.start)
         kept = None
         if self.evaluator.comparison is not None:
@@ -216,22 +222,31 @@ class FIDE(Saved):
             population=Population(),
             search=Search(moves.start, moves.goal, setting),
             moves=moves,
-            gate=ImageGate(o, subsets, known=known),
-            proposer=make_proposer(o, self.dim, k, self.seed, self.encoder, learned=known),
-            steps=make_steps(o, self.dim, k, self.encoder, learned=known),
+            gate=ImageGate(o, subsets, known=learned),
+            proposer=make_proposer(o, self.dim, k, self.seed, self.encoder, learned=learned),
+            steps=make_steps(o, self.dim, k, self.encoder, learned=learned),
             memory=Memory(o.memory_mb),
             grain=Grain(self.views),
             scales=scales,
             kept=kept,
         )
 
+    def _descends(self, *, learned: bool) -> bool:
+        """Whether the search begins with descents: where a photograph's answer is roughly known."""
+        guessed = self.guess is not None and bool(np.max(self.sigma0) <= _ROUGHLY)
+        return self.options.photo and self._learns and (learned or guessed)
+
     @property
     def _may_blur(self) -> bool:
         """Whether searches may begin coarse: with features, moves, and a loss of any target."""
         o, sides = self.options, [side for view in self.views.views for side in view.size]
-        learns = o.proposer in ("both", "linear") and o.restarts == "moves"
-        wanted = learns and o.coarse_to_fine is not False and min(sides) >= _COARSEST
+        wanted = self._learns and o.coarse_to_fine is not False and min(sides) >= _COARSEST
         return wanted and self.loss_name is not None
+
+    @property
+    def _learns(self) -> bool:
+        o = self.options
+        return o.proposer in ("both", "linear") and o.restarts == "moves"
 
     # -- ask: lines 4 and 5 ------------------------------------------------------------------------
 
@@ -504,7 +519,7 @@ class FIDE(Saved):
         members, losses = state.population.close_generation()
         samples = state.take_samples()
         if state.stage is not Stage.SEARCH:
-            state.finish_stage(members, losses, samples)
+            state.finish_stage(members, losses, samples, self._seen_target)
             return
         try:
             with timed(self.times, "train"):

@@ -237,12 +237,19 @@ class State:
         self._go_on(stage)
 
     def finish_stage(
-        self, members: list[Candidate], losses: Float64, samples: list[TrainingSample]
+        self,
+        members: list[Candidate],
+        losses: Float64,
+        samples: list[TrainingSample],
+        target: torch.Tensor,
     ) -> None:
-        """Learn from a generation that was of no search; its losses (k,) and samples."""
+        """Learn from a generation that was of no search; its losses (k,) and samples.
+
+        target: tokens (T, C), as they were compared.
+        """
         asked = {candidate.index for candidate in members}
         own = [sample for sample in samples if sample.index in asked]
-        self._go_on(self.moves.learn(own, members[int(np.argmin(losses))].x))
+        self._go_on(self.moves.learn(own, members[int(np.argmin(losses))].x, target))
 
     def _go_on(self, stage: Stage) -> None:
         """Forget the generation; begin another search, if that comes next."""
@@ -250,8 +257,19 @@ class State:
         self.population.forget_pending()
         if stage is Stage.SEARCH:
             self._begin_search()
+        elif stage is Stage.DESCENT:
+            self.scales.begin_at(self.moves.descents.share)
         elif stage is Stage.RESTART and self.moves.begins_coarse:
             self.scales.begin()
+
+    def begin_descents(self) -> bool:
+        """Begin descents at the best renders, `kept`, if there are to be any; returns whether."""
+        kept = self.kept
+        if kept is None or not len(kept) or not self.moves.descends:
+            return False
+        found = list(zip(kept.losses.tolist(), kept.x, strict=True))
+        self._go_on(self.moves.begin_descents(found))
+        return True
 
     # -- coarse to fine ----------------------------------------------------------------------------
 
@@ -266,13 +284,14 @@ class State:
         A coarse one is, too, where it is as narrow as its blur.
         """
         if self.blur:
-            reach = 2 * self.scales.share * self.search.setting.sigma0
+            reach = self.scales.reach
             return self.search.is_over(guided=True) or bool((self.search.std < reach).all())
         return self.search.is_over(guided=guided or self.scales.asked)
 
     def begin_coarse(self, target: Float32) -> bool:
         """Begin the first search again, coarse, if its first candidates say so; target: packed."""
-        x = self.scales.decide(target, self.gate.agreement)
+        start = self.moves.start.mean
+        x = self.scales.decide(target, self.gate.agreement, start, self.kept)
         self._let_moves_know()
         if x is None:
             return False
@@ -295,6 +314,7 @@ class State:
         """Compare sharp images from now on; a coarse search goes on as a sharp one."""
         coarse = self.blur > 0
         self.scales.give_up()
+        self.moves.descends = False
         self._let_moves_know()
         if coarse:
             self.population.close_generation()

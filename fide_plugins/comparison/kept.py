@@ -45,6 +45,13 @@ class Kept:
     def __len__(self) -> int:
         return len(self.x)
 
+    @property
+    def covers(self) -> Float32 | None:
+        """Coverage (n, H, W) of the renders; None: they have none."""
+        if self.images is None or self.images.shape[3] < 4:
+            return None
+        return self.images[..., 3]
+
     def note(
         self, x: Float64, images: Float32, losses: Float64, evaluation: int, *, given: bool
     ) -> None:

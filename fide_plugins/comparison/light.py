@@ -3,7 +3,8 @@
 They are linear in their coefficients, so the nearest ones have a closed form (variable projection:
 Golub and Pereyra, 1973): ridge regression toward no change, of images reduced to at most 28 x 28
 pixels, with the weights of robust differences.  Where a render is constant, gain, offset and curve
-cannot be told apart, and the prior decides.
+cannot be told apart, and the prior decides.  Where the nearest would invert a picture, they are
+moved toward no change until they do not.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ NONE, EXPOSURE, SHADING = "none", "exposure", "shading"
 _NODES = 3  # of the field of gains, in each direction
 _RIDGE = 0.006  # of the target's variance, summed over the pixels: what says that nothing changed
 _LEAST_VARIANCE = 1e-4
+_LEAST_SLOPE = 0.1  # of the values after over those before: no light turns black into white
 
 
 @dataclass(frozen=True)
@@ -105,6 +107,10 @@ def fit_light(render: Float32, target: Float32, weights: Float32 | None, kind: s
     variance = max(float(target.reshape(-1, 3).var(axis=0).mean()), _LEAST_VARIANCE)
     normal[:, np.arange(p), np.arange(p)] += _RIDGE * variance * h * w
     change = np.linalg.solve(normal, weighted @ apart[..., None])[..., 0]
+    gains = 1 + change[:, : k * k].min(axis=1)
+    slope = np.minimum(gains, gains + 2 * change[:, -1])  # the least, at black or white
+    steep = np.minimum(1.0, (1 - _LEAST_SLOPE) / np.maximum(1 - slope, 1e-9))
+    change *= steep[:, None]
     gain = 1 + change[:, : k * k].T.reshape(k, k, 3)
     return Light(gain, change[:, -2].copy(), change[:, -1].copy())
 

@@ -12,6 +12,10 @@ seen them, a search from a random place that begins coarse is one of the moves f
 (`search.moves.Coarsen`), raced with the others.  If they follow much better, or if sharp features
 hardly agree with the losses, the first search begins again at once, coarse.  Elsewhere nothing
 changes.
+
+A photograph needs it more often (``photo=True``).  Where its renders say what they draw, all
+searches begin coarse: at the blurs that leave enough of the renders' contrast, since a board of
+squares that is blurred to one gray has no place.
 """
 
 from __future__ import annotations
@@ -28,6 +32,7 @@ from fide_plugins.types import Float32, Float64
 from fide_plugins.views import Views
 
 if TYPE_CHECKING:
+    from fide_plugins.comparison.kept import Kept
     from fide_plugins.search.moves import Start
 
 __all__ = ["ScaleSpace", "predictability"]
@@ -36,6 +41,7 @@ BLURS = (0.05, 0.025, 0.0125)
 """Standard deviations of one search after another, in sides of the image; then sharp."""
 WIDTHS = (0.6, 0.5, 0.4)
 """Widest beginning of the searches that follow the first, of its beginning."""
+_REACH = 1 / 3  # of the blur in sides of the image, which the cube spans
 NEXT = 2.0  # times the spread of a search that is over: of the next one
 PATIENCE, IMPROVEMENT = 2, 1.0
 """Of coarse searches, in units of the run's: their losses are small, and fall slowly."""
@@ -44,6 +50,7 @@ PATIENCE_ASKED, IMPROVEMENT_ASKED = 8, 0.2
 _JUDGED = (0.04, 0.08)  # blurs that are compared with sharp images, in sides of the image
 _SEEN = 36  # candidates that decide
 _SIDE = 96  # pixels to which their images are reduced
+_LEAST_CONTRAST = 0.09  # of the variance of a sharp render, in what it covers
 _LEAST_RATIO, _LEAST_GAIN = 1.1, 0.05  # of the predictability, for blurs to be useful
 _MUCH, _LITTLE = 1.6, 0.8  # such a ratio, or so little agreement: the first search begins again
 _RIDGES = np.geomspace(1e-4, 1.0, 7)
@@ -55,10 +62,15 @@ class ScaleSpace:
     views: of the target.
     possible: whether images can be compared blurred at all.
     at_once: whether the first search begins coarse, without asking the first candidates.
+    photo: whether all do where renders have a coverage.
     """
 
-    def __init__(self, views: Views, *, possible: bool, at_once: bool = False) -> None:
-        self._views = views
+    def __init__(
+        self, views: Views, *, possible: bool, at_once: bool = False, photo: bool = False
+    ) -> None:
+        self._views, self._photo = views, photo
+        self.blurs: tuple[float, ...] = BLURS
+        """Of a search that begins coarse and those that follow it, in sides of the image."""
         self.asked = at_once and possible
         """Whether all searches are as patient as pictures need that no render equals."""
         self._side = min(min(view.size) for view in views.views)
@@ -82,9 +94,9 @@ class ScaleSpace:
         return replace(start, patience=PATIENCE, improvement=IMPROVEMENT)
 
     @property
-    def share(self) -> float:
-        """Standard deviation of the present blur, in sides of the image."""
-        return self.left[0] if self.left else 0.0
+    def reach(self) -> float:
+        """Standard deviation, in the cube, of a search that sees no more at the present blur."""
+        return _REACH * self.left[0] if self.left else 0.0
 
     # -- the first candidates ----------------------------------------------------------------------
 
@@ -93,15 +105,21 @@ class ScaleSpace:
         if self.useful is None and index < 2 * _SEEN:
             self._seen.append((index, x.copy(), self._small(image)))
 
-    def decide(self, target: Float32, agreement: float) -> Float64 | None:
+    def decide(
+        self, target: Float32, agreement: float, start: Float64, kept: Kept | None
+    ) -> Float64 | None:
         """Whether blurs are useful, once enough candidates are known; where to begin coarse, (d,).
 
         None: the present search goes on sharp.
 
         target: packed, sharp.  agreement: rank correlation of losses and distances in features.
+        start: (d,), where the present search began.
+        kept: the best renders; None: they are compared as they are.
         """
         if self.useful is not None or len(self._seen) < _SEEN:
             return None
+        if self._photo and kept is not None and kept.covers is not None:
+            return start if self._begin_photo(kept) else None
         seen = sorted(self._seen, key=lambda one: one[0])[:_SEEN]
         X = np.array([x for _, x, _ in seen])
         scores = [predictability(_flat(seen, blur), X) for blur in (0.0, *_JUDGED)]
@@ -115,6 +133,17 @@ class ScaleSpace:
         first: Float64 = X[int(np.argmin(np.square(apart).mean(axis=1)))]
         return first
 
+    def _begin_photo(self, kept: Kept) -> bool:
+        """Begin coarse with the blurs that leave enough contrast; returns whether one does."""
+        self._seen, self.asked = [], True
+        left = [contrast(kept, share) for share in (0.0, *BLURS)]
+        enough = _LEAST_CONTRAST * left[0]
+        self.blurs = tuple(b for b, one in zip(BLURS, left[1:], strict=True) if one >= enough)
+        self.useful = bool(self.blurs)
+        if self.useful:
+            self.begin()
+        return self.useful
+
     def _small(self, image: Float32) -> list[Float32]:
         """Pictures of the views (h, w, 3), reduced, of a packed image."""
         return [_reduced(part[0]) for part in self._views.split(image[None])]
@@ -123,7 +152,11 @@ class ScaleSpace:
 
     def begin(self) -> None:
         """Begin coarse."""
-        self.left = list(BLURS)
+        self.left = list(self.blurs)
+
+    def begin_at(self, share: float) -> None:
+        """Compare at one blur, in sides of the image, and no other after it; 0: sharp."""
+        self.left = [share] if share else []
 
     def go_on(self) -> float:
         """Take the next blur; returns how wide the search with it may begin, of the first one."""
@@ -144,13 +177,15 @@ class ScaleSpace:
     def state_dict(self) -> dict[str, Any]:
         """Everything that changes."""
         seen = [{"index": i, "x": x, "images": images} for i, x, images in self._seen]
-        return {"useful": self.useful, "left": list(self.left), "seen": seen}
+        blurs = {"blurs": list(self.blurs), "left": list(self.left)}
+        return {"useful": self.useful, "asked": self.asked, "seen": seen, **blurs}
 
     def load_state_dict(self, state: Mapping[str, Any], sides: Mapping[str, int]) -> None:
         """Put back what `state_dict` gave; ValueError for what it cannot have given."""
         check(state, _SCHEMA, dict(sides), "scale space")
-        self.useful = state["useful"]
+        self.useful, self.asked = state["useful"], state["asked"]
         self.left = [one for one in BLURS if one in state["left"]]
+        self.blurs = tuple(one for one in BLURS if one in state["blurs"])
         self._seen = [
             (one["index"], one["x"].copy(), [each.copy() for each in one["images"]])
             for one in state["seen"]
@@ -159,6 +194,8 @@ class ScaleSpace:
 
 _SCHEMA: dict[str, Any] = {
     "useful": maybe(flag),
+    "asked": flag,
+    "blurs": each(real(0.0, 1.0)),
     "left": each(real(0.0, 1.0)),
     "seen": each({"index": whole(), "x": array("d"), "images": each(anything)}),
 }
@@ -172,6 +209,19 @@ def _reduced(image: Float32) -> Float32:
     factor = max(1.0, min(height, width) / _SIDE)
     size = max(1, round(width / factor)), max(1, round(height / factor))
     return np.ascontiguousarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
+
+
+def contrast(kept: Kept, share: float) -> float:
+    """Variance of blurred renders in what they cover; share: of the blur, in sides of the image."""
+    assert kept.images is not None and kept.covers is not None
+    found = []
+    for image, cover in zip(kept.images, kept.covers, strict=True):
+        shown = blurred(image[..., :3], share * min(image.shape[:2]))
+        weights = np.broadcast_to(cover[..., None], shown.shape)
+        if weights.any():
+            mean = np.average(shown, axis=(0, 1), weights=weights)
+            found.append(float(np.average(np.square(shown - mean), weights=weights)))
+    return float(np.mean(found)) if found else 0.0
 
 
 def _flat(seen: list[tuple[int, Float64, list[Float32]]], share: float) -> Float64:

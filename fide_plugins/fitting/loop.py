@@ -94,7 +94,7 @@ class Loop:
             while stopped is None:
                 stopped = self._step()
                 self._steps.show(last=stopped is not None)
-                if self.checkpoints.due(self.optimizer):
+                if self.checkpoints.due():
                     self._steps.save()
                 self._interrupts.check()
         finally:
@@ -187,10 +187,6 @@ class Loop:
         with self.record.timing(self.optimizer):
             self._waiting.extend(self._steps.ask())
         self.whole = True
-        # the optimizer has just waited for its training
-        waited = self._piece is not None and self.checkpoints.every > 0
-        if waited and self.checkpoints.due(self.optimizer):
-            self._steps.save()
 
     def _together(self) -> int:
         """How many of the waiting candidates are rendered next, as far as the budget allows."""

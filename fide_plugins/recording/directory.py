@@ -67,7 +67,7 @@ class CheckpointTimer:
         self.every = every
         self._written_at, self._writing_took = perf_counter(), 0.0
 
-    def due(self, optimizer: Optimizer) -> bool:
+    def due(self) -> bool:
         """Whether the last checkpoint is old enough, in seconds and in times of writing one."""
         if self.every <= 0:
             return True
@@ -183,14 +183,19 @@ class RunDirectory:
 
         load: makes the optimizer of its file.
 
-        Raises CheckpointError where results are there without a state, as after a full disk.
+        Raises CheckpointError where the state of results is missing.
         """
         if not is_saved(self.path):
             table = self.path / TABLES[0]
             if self._run["resumed"] and table.exists() and table.read_bytes().count(b"\n") > 1:
-                raise CheckpointError(
-                    f"{self.path} holds results, but no {CHECKPOINT}, from which the run could go "
-                    "on: copy it back, or start again in another directory"
+                if self._run.get("saved", True):
+                    raise CheckpointError(
+                        f"{self.path} holds results, but no {CHECKPOINT}, from which the run could "
+                        "go on: copy it back, or start again in another directory"
+                    )
+                warn_user(
+                    f"{self.path} holds results of a call that ended before its state could be "
+                    "written: the run begins again, and replaces them"
                 )
             return None
         record, file = read_record(self.path, self.settings["dim"], self.settings["size"])
@@ -235,10 +240,13 @@ class RunDirectory:
         The checkpoint, the largest, comes last; but the first one first, so that a kill leaves no
         tables without one.
         """
-        writes = [
-            lambda: self.write_tables(record, best, values),
-            lambda: write_checkpoint(self.path, record, optimizer),
-        ]
+
+        def write_state() -> None:
+            write_checkpoint(self.path, record, optimizer)
+            if not self._run.get("saved"):
+                self.write_run()
+
+        writes = [lambda: self.write_tables(record, best, values), write_state]
         try_each(*(writes if is_saved(self.path) else reversed(writes)))
 
     def write_tables(
@@ -303,6 +311,7 @@ class RunDirectory:
         """Write `run.json`; stopped: the rule by which the run has ended; more: further totals."""
         self._run |= {
             "state": state,
+            "saved": is_saved(self.path),  # so that one which is removed is missed
             "versions": machine.versions(),
             "machine": machine.machine(),
             "load": machine.load(),

@@ -2,7 +2,7 @@
 
 ============  ====================================================================================
 `devices`     which device computes, batches that fit its memory, digests of networks
-`threads`     how many threads compute; locks; work in the background; what a fork leaves of them
+`threads`     how many threads compute; locks; what a fork leaves of them
 `machine`     hardware, time, and what is installed: extras, OpenCV; a Dask cluster
 `laboratory`  the only place that looks for `fide_lab`, and loads of it by name
 `files`       atomic writes, files that may be anybody's, and file locks

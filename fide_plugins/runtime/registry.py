@@ -315,13 +315,11 @@ def version_of(render: object) -> str | None:
 
     A method of that name states none, either.  Raises OptionError for anything else than a text.
     """
-    own = getattr(render, "version", None)
-    return None if callable(own) else check_version(own, f"the version of {own_name(render)}")
-
-
-def check_version(version: object, what: str) -> str | None:
-    """Return a version that is a text, or None; raises OptionError, beginning with `what`."""
-    if version is not None and not (isinstance(version, str) and version):
+    version = getattr(render, "version", None)
+    if callable(version) or version is None:
+        return None
+    if not (isinstance(version, str) and version):
+        what = f"the version of {own_name(render)}"
         raise OptionError(f"{what} is a text such as '2', or None, not {version!r}")
     return version
 

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fide_plugins.runtime.schema import Schema, Sides, Stateful, array, maybe, real
+from fide_plugins.runtime.schema import Schema, Sides, Stateful, array, flag, maybe, real
 from fide_plugins.search.exchangeability import Exchangeability
 from fide_plugins.search.moves import Known, Move, Stage, Start
 from fide_plugins.search.scene import Axes
@@ -88,6 +88,7 @@ _SEARCHED = 4  # of those rendered
 _APART = 0.15  # of the unit cube, in some parameter: other hypotheses
 _BETTER = 0.1  # of the typical loss
 _H_NARROWEST, _WIDEST, _WIDEST_SET = 0.02, 1 / 6, 0.06  # standard deviations
+AFTER_DESCENT = 0.01  # standard deviation of a search, at most
 _NARROWEST_REFINED = 0.006  # descents through an emulator end near each other
 
 
@@ -107,6 +108,7 @@ class Hypotheses(Move, Stateful):
         "refined": array("refined", "d", low=0.0, high=1.0),
         "waiting": array("waiting", "d", low=0.0, high=1.0),
         "typical": maybe(real()),
+        "narrow": flag,
     }
 
     def __init__(
@@ -125,6 +127,8 @@ class Hypotheses(Move, Stateful):
         nothing = np.empty((0, self._dim))
         self.x, refined = posterior or Posterior(nothing)
         self._refined = nothing if refined is None else refined
+        self.narrow = False
+        """Whether those that wait are where descents ended."""
         self._waiting = nothing  # starts that were not searched yet, best first
         self.typical: float | None = None
         """Median loss of the draws that were rendered; None before, and where it is not known."""
@@ -133,6 +137,11 @@ class Hypotheses(Move, Stateful):
     def available(self) -> bool:
         """Whether there are any."""
         return len(self.x) > 0
+
+    @property
+    def posterior(self) -> Posterior | None:
+        """What it began with; None: there were none."""
+        return Posterior(self.x, self._refined) if self.available else None
 
     @property
     def first(self) -> tuple[Stage, str | None]:
@@ -185,6 +194,10 @@ class Hypotheses(Move, Stateful):
         typical = float(np.median(losses)) if losses else np.inf
         self.typical = typical if np.isfinite(typical) else None
 
+    def replace(self, ends: Float64) -> None:
+        """Let searches begin where descents from the best ended, (m, d), the best first."""
+        self._waiting, self.narrow = ends.copy(), True
+
     def next(self, known: Known, before: Start) -> Start:
         """Begin at the next one; where `before` is the same place, the search is no wider."""
         x, self._waiting = self._waiting[0], self._waiting[1:]
@@ -203,7 +216,10 @@ class Hypotheses(Move, Stateful):
 
     def begin_at(self, known: Known, x: Float64) -> Start:
         """Begin at x (d,), as wide as the hypotheses around it."""
-        return Start(x, self._spread(x, known), strict_above=self.strict_above)
+        std = self._spread(x, known)
+        if self.narrow:
+            std = np.minimum(std, AFTER_DESCENT)
+        return Start(x, std, strict_above=self.strict_above)
 
     def _spread(self, x: Float64, known: Known) -> Float64:
         """Standard deviations (d,) around x (d,) of the hypotheses that are nearest to it."""

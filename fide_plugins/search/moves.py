@@ -32,6 +32,7 @@ class Stage(StrEnum):
     REMOVAL = "removal"
     SENSITIVITY = "sensitivity"
     RESTART = "restart"
+    DESCENT = "descent"
 
 
 @dataclass(frozen=True, slots=True)

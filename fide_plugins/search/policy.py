@@ -1,7 +1,8 @@
 """What the next generation is for, and which move comes next: `MovePolicy`, used by `State`.
 
 A search that is over leads to a move; if that must know more of the scene, to a stage that finds it
-out; then restart candidates are rendered, and the next search begins at the best of them.
+out; then restart candidates are rendered, and the next search begins at the best of them.  Of a
+photograph a search begins with descents from a model's hypotheses or a guess (`descents`).
 """
 
 from __future__ import annotations
@@ -30,8 +31,9 @@ from fide_plugins.runtime.schema import (
     values,
     whole,
 )
+from fide_plugins.search.descents import Descents
 from fide_plugins.search.exchangeability import Exchangeability
-from fide_plugins.search.hypotheses import Hypotheses, Resample, probabilities
+from fide_plugins.search.hypotheses import AFTER_DESCENT, Hypotheses, Resample, probabilities
 from fide_plugins.search.mixed import Mixed
 from fide_plugins.search.moves import (
     ChangeValue,
@@ -130,6 +132,7 @@ class MovePolicy:
     groups: declared exchangeable groups, see `exchangeability.check_groups`; None: to be found.
     layout: what is discrete or periodic in the cube; None: nothing.
     posterior: of a learned model; the run begins with its hypotheses.  None: there is no model.
+    descends: whether the run begins with descents, from these or else from x0.
 
     Raises OptionError for groups that are declared wrongly.
     """
@@ -145,6 +148,8 @@ class MovePolicy:
         groups: Sequence[Sequence[int]] | None = None,
         layout: Layout | None = None,
         posterior: Posterior | None = None,
+        *,
+        descends: bool = False,
     ) -> None:
         dim = len(x0)
         axes = Axes(dim, layout)
@@ -163,25 +168,27 @@ class MovePolicy:
         self._candidates = max(_CANDIDATES, popsize)
         self.hypotheses = Hypotheses(posterior, dim, sets=bool(groups), place=self.known.place)
         self._resample = Resample(self.hypotheses)
-        family: list[Move] = [
-            Split(), HalfTurn(), RelocateGroup(), RelocateSegment(), Coarsen(), Refine(),
-            RandomRestart(),
-        ]  # fmt: skip
-        if self.known.values.discrete.any():
-            family.append(ChangeValue())
-        family.append(self._resample)
+        family = _family(self.known, self._resample)
         self._choice = Choice({move.name: move.prior_gain for move in family}, _COST * popsize)
         self._moves = {move.name: move for move in (*family, self.hypotheses)}
         self._rng = np.random.default_rng((seed, 1))
         self.stage, self.move = self.hypotheses.first
         """What the present generation is for; the move under way, None in the first search."""
         self.start = Start(x0, self.known.sigma0)
+        self.descents = Descents(axes, self.known.place)
+        self.descends = descends and self.descents.possible
+        """Whether a run begins with descents."""
         self.noise: float | None = None
         """Standard deviation of the loss of the first local optimum; None: it was not measured."""
         self.loss_only_searches = 0
         """Restarts because losses, not images, said so."""
         self.guided = True
         """Whether images said where to go on when the last search was over."""
+
+    def begin_around_guess(self, rng: np.random.Generator) -> None:
+        """Begin with descents from points around the guess."""
+        self.descents.begin_around(self.known.x0, self.known.sigma0, rng)
+        self.stage = Stage.DESCENT
 
     @property
     def goal(self) -> float:
@@ -346,6 +353,8 @@ class MovePolicy:
             return known.removal.draw(known.current.x, known.exchangeability.blocks, rng)
         if self.stage is Stage.SENSITIVITY:
             return known.sensitivity.draw(known.current.x, rng)
+        if self.stage is Stage.DESCENT:
+            return self.descents.draw()
         return self._the_move.draw(known, self._candidates, rng)
 
     @property
@@ -353,16 +362,23 @@ class MovePolicy:
         """Whether `draw` gives other candidates each time, which are as good as the first ones."""
         return self.stage is Stage.RESTART and self._the_move.has_more
 
-    def learn(self, samples: Sequence[TrainingSample], best: Float64) -> Stage:
+    def learn(
+        self, samples: Sequence[TrainingSample], best: Float64, target: Tensor | None = None
+    ) -> Stage:
         """Learn from a generation that was no search's; return what comes next.
 
         samples: those of its candidates whose images are known, with parameters as they were asked.
         best: (d,), the candidate with the lowest loss, as it was asked.
+        target: tokens (T, C), as blurred as those of the samples; None: they are sharp.
         """
         known = self.known
+        if self.stage is Stage.DESCENT:
+            return self._descend(samples, known.target if target is None else target)
         if self.stage is Stage.RESTART and self._the_move is self.hypotheses:
             found = [(sample.loss, sample.x) for sample in samples]
             self.hypotheses.learn(found, best, known.exchangeability.distance)
+            if self.descends and found:
+                return self.begin_descents(found)
             return self._begin_at_hypothesis()
         if self.stage is Stage.RESTART:
             self._begin_at(self._most_promising(samples, best))
@@ -380,6 +396,25 @@ class MovePolicy:
         else:
             known.sensitivity.learn(known.current, samples)
         return self._go(Stage.RESTART)
+
+    def begin_descents(self, found: Sequence[tuple[float, Float64]]) -> Stage:
+        """Begin descents at the best of points that were found, as loss and x (d,)."""
+        self.descents.begin(found)
+        return self._go(Stage.DESCENT)
+
+    def _descend(self, samples: Sequence[TrainingSample], target: Tensor) -> Stage:
+        """Learn from a round of descents; searches begin where these end, the best first."""
+        self.descents.learn(samples, target)
+        if self.descents.under_way and len(self.descents.x):
+            return self._go(Stage.DESCENT)
+        if not len(self.descents.x):  # no image is known
+            return self._go(Stage.SEARCH)
+        if self.hypotheses.available:
+            self.hypotheses.replace(self.descents.x)
+            return self._begin_at_hypothesis()
+        std = np.minimum(self.known.sigma0, AFTER_DESCENT)
+        self.start = replace(self.start, mean=self.descents.x[0].copy(), std=std)
+        return self._go(Stage.SEARCH)
 
     def _most_promising(self, samples: Sequence[TrainingSample], best: Float64) -> Float64:
         """Return the candidate (d,) at which the search begins.
@@ -410,7 +445,8 @@ class MovePolicy:
     def _parts(self) -> dict[str, Any]:
         names = ("optima", "exchangeability", "removal", "sensitivity", "values")
         found = {name: getattr(self.known, name) for name in names}
-        return found | {"choice": self._choice, "hypotheses": self.hypotheses}
+        parts = {"hypotheses": self.hypotheses, "descents": self.descents}
+        return found | parts | {"choice": self._choice}
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that changes."""
@@ -448,13 +484,28 @@ class MovePolicy:
     def _check(self, state: Mapping[str, Any]) -> None:
         """Raise ValueError unless stage, move and incumbent fit together."""
         stage, move, moves = Stage(state["stage"]), state["move"], self._moves
-        if move not in moves and (move is not None or stage not in (Stage.SEARCH, Stage.EXCHANGE)):
+        if stage is Stage.DESCENT and state["descents"]["round"] >= self.descents.rounds:
+            raise ValueError("moves['stage'] is 'descent', and all rounds are over")
+        without = Stage.SEARCH, Stage.EXCHANGE, Stage.DESCENT
+        if move not in moves and (move is not None or stage not in without):
             raise ValueError(f"moves['move'] is {move!r} in the stage {stage.value!r}")
-        free = stage is Stage.RESTART and not moves[move].from_incumbent
+        free = stage is Stage.DESCENT
+        free = free or (stage is Stage.RESTART and not moves[move].from_incumbent)
         if stage is not Stage.SEARCH and not free and state["incumbent"] is None:
             raise ValueError(f"moves['incumbent'] is None in the stage {stage.value!r}")
         if stage is Stage.REMOVAL and state["exchangeability"]["blocks"] is None:
             raise ValueError("moves['exchangeability']['blocks'] is None while blocks are removed")
+
+
+def _family(known: Known, resample: Resample) -> list[Move]:
+    """Moves that a scene may need."""
+    family: list[Move] = [
+        Split(), HalfTurn(), RelocateGroup(), RelocateSegment(), Coarsen(), Refine(),
+        RandomRestart(),
+    ]  # fmt: skip
+    if known.values.discrete.any():
+        family.append(ChangeValue())
+    return [*family, resample]
 
 
 def _gain(before: float, after: float) -> float:

@@ -111,6 +111,8 @@ def test_the_help_names_every_preset(capsys: pytest.CaptureFixture[str]) -> None
         (["fit", "a.png", "--model", "spline", "--cells", "3"], "--cells belongs to --model voron"),
         (["list", "everything"], "invalid choice: 'everything'"),
         (["dance"], "invalid choice: 'dance'"),
+        (["learn", "voronoi", "--out", " "], "--out: a path, not an empty text"),
+        (["mcp", "now"], "unrecognized arguments: now"),
     ],
 )
 def test_wrong_usage_is_one_line_and_exit_code_2(

@@ -96,16 +96,3 @@ def test_one_that_takes_images_cannot_be_resumed_and_says_so(
     (error,) = capsys.readouterr().err.splitlines()
     assert error.startswith("fide run: sees.py:Sees learns from images, which a checkpoint does no")
     assert "from the beginning, in another directory" in error
-    words[-1] = "whole"
-    source = (mine / "sees.py").read_text().replace("stops = True", "stops = False")
-    (mine / "sees2.py").write_text(source + "    def recommend(self): return [0.25] * 10\n")
-    words[words.index("sees.py:Sees")] = "sees2.py:Sees"
-    assert fide(*words) == 0
-    first, _ = capsys.readouterr()
-    assert fide(*words, "--resume") == 0, "a finished run needs nothing of its optimizer"
-    again = capsys.readouterr()
-    assert again.err.startswith("whole is finished") and "takes images" not in again.err
-    assert again.out.splitlines()[0] == first.splitlines()[0]
-    assert json.loads(Path("whole/run.json").read_text())["state"] == "finished"
-    assert fide(*words[:-1], "again", "--optimizer", "mine.py:Mine") == 0
-    assert "takes images" not in capsys.readouterr().err

@@ -12,6 +12,7 @@ import pytest
 from fide_plugins import FIDE, fit
 from fide_plugins.cli.fit_command import add_arguments
 from fide_plugins.comparison.comparison import blurred
+from fide_plugins.comparison.light import fit_light
 from fide_plugins.comparison.mismatch import explanation
 from fide_plugins.errors import ImageError, OptionError
 from fide_plugins.evaluation import Evaluator
@@ -99,6 +100,14 @@ def test_of_a_constant_render_the_prior_decides() -> None:
         assert (abs(light.gamma - 1) < 0.3).all()
     black = evaluator(flat, photometric="exposure").light_of(0 * flat)
     np.testing.assert_allclose(black.gain, 1)  # nothing says anything of it
+
+
+@pytest.mark.parametrize("kind", ["exposure", "shading"])
+def test_no_light_inverts_a_picture(kind: str) -> None:
+    """Else a board that is one square off equals its photograph."""
+    image = np.tile(np.linspace(0, 1, 28, dtype=np.float32)[:, None, None], (1, 28, 3))
+    light = fit_light(image, 1 - image, None, kind)
+    assert (np.diff(light.applied(image), axis=0) > 0).all()
 
 
 def test_robust_differences_are_bounded() -> None:

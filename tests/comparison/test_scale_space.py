@@ -54,7 +54,7 @@ def test_the_first_candidates_say_whether_blurs_are_useful(width: float, useful:
     for i, x in enumerate(np.random.default_rng(0).random((36, 3))):
         assert scales.useful is None
         scales.note(i, x, np.repeat(ring(x, width)[..., None], 3, axis=2))
-    first = scales.decide(target, 0.5)
+    first = scales.decide(target, 0.5, ANSWER, None)
     assert scales.useful is useful
     assert (scales.blur > 0) is useful is (first is not None)
 

@@ -90,8 +90,9 @@ def test_a_disk_without_room_at_the_end_leaves_the_result_to_the_error(
         run = json.loads((tmp_path / "run.json").read_text())
         assert run["state"] == "failed" and run["totals"]["evaluations"] == 60
         monkeypatch.undo()
-        with pytest.raises(CheckpointError, match=r"holds results, but no run\.ckpt"):
-            fit(disk(), target(), SPACE, **ARGUMENTS, out=tmp_path, resume=True)
+        with pytest.warns(RuntimeWarning, match="the run begins again, and replaces them"):
+            again = fit(disk(), target(), SPACE, **ARGUMENTS, out=tmp_path, resume=True)
+        np.testing.assert_array_equal(again.curve, whole.curve)
 
 
 def test_each_file_is_tried_where_another_cannot_be_written(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 import zlib
 from collections import OrderedDict
@@ -26,6 +27,7 @@ from fide_plugins.views.views import views_of
 
 __all__ = ["FIDESampler", "image_objective"]
 
+_log = logging.getLogger(__name__)
 _MOST_STUDIES = 4
 
 
@@ -151,9 +153,18 @@ class FIDESampler(BaseSampler):
     ) -> dict[str, BaseDistribution]:
         """Return the parameters that are searched together, by name."""
         with self._lock:
-            space = self._state_of(study).update(study, trial.number)
+            state = self._state_of(study)
+            space = state.update(study, trial.number)
         if self._search_space is not None:
-            space = common(self._search_space, self._search_space)
+            return common(self._search_space, self._search_space)
+        if state.lost_space:
+            self._settings.warn(
+                "space",
+                "completed trials of the study have no parameter in common, by name and range, so "
+                "nothing is searched; if ranges have changed, name those to search, "
+                "FIDESampler(search_space={...}), or start a new study",
+                _log.warning,
+            )
         return dict(space)
 
     def sample_relative(

@@ -6,7 +6,7 @@ executed, and an attribute that is not valid is ignored with one warning.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -181,8 +181,10 @@ class WarnOnce:
     def __init__(self) -> None:
         self._subjects: set[str] = set()
 
-    def __call__(self, subject: str, message: str) -> None:
-        """Issue a RuntimeWarning."""
+    def __call__(
+        self, subject: str, message: str, say: Callable[[str], object] = warn_user
+    ) -> None:
+        """Issue a RuntimeWarning, or `say` it."""
         if subject not in self._subjects:
             self._subjects.add(subject)
-            warn_user(message)
+            say(message)

@@ -209,6 +209,8 @@ class StudyState:
         self._seed = self._settings.seed
         self._history = History(self._settings.warn)
         self._common: Distributions | None = None  # what all completed trials have in common
+        self.lost_space = False
+        """Whether a trial has just left completed trials without a parameter in common."""
         self._optimizers: OrderedDict[str, StudyOptimizer] = OrderedDict()
         self._first = np.empty(0)  # coordinates of the first candidate
         self._given: dict[str, BaseDistribution] = {}  # the latest search space
@@ -227,8 +229,10 @@ class StudyState:
         news = self._history.update(self._trials)
         for trial in news.finished:
             if trial.state is TrialState.COMPLETE and not self._is_common_to(trial):
-                seen = trial.distributions if self._common is None else self._common
+                before = self._common
+                seen = trial.distributions if before is None else before
                 self._common = common(seen, trial.distributions)
+                self.lost_space = bool(before) and not self._common
         for optimizer in self._optimizers.values():
             if not optimizer.agrees(news):
                 optimizer.restart()

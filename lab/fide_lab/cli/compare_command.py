@@ -18,7 +18,6 @@ optimizers or seeds. At the end it writes the report, like `fide report`.
 from __future__ import annotations
 
 import argparse
-import time
 from typing import Any
 
 from fide_lab.cli.arguments import (
@@ -31,15 +30,13 @@ from fide_lab.cli.arguments import (
     task_of,
     thresholds,
 )
-from fide_lab.cli.running import execute_comparisons, execute_each
+from fide_lab.cli.running import execute_all, execute_comparisons
 from fide_plugins.cli.arguments import names, setting, whole
-from fide_plugins.cli.progress import interval
-from fide_plugins.cli.terminal import note, number, plain
+from fide_plugins.cli.terminal import note, plain
 from fide_plugins.errors import OptionError
 
 __all__ = ["add_arguments", "execute"]
 
-_EVERY = 20.0  # seconds between two progress lines about a run, in a terminal
 _SEEDS, _BUDGET, _SIZE = 10, 5000, 224
 _METRICS = ("mse", "perceptual")
 """Losses that measure every improvement, in addition to those that are minimized."""
@@ -134,23 +131,7 @@ def _execute(comparison: Any) -> int:
     kept = sum(state.kind == "finished" for state in comparison.states.values())
     if kept:
         note(f"{kept} of {len(comparison.states)} runs are finished")
-    return execute_each([comparison], _Heartbeat())
-
-
-class _Heartbeat:
-    """Prints a progress line about a long run now and then."""
-
-    def __init__(self) -> None:
-        self._last = time.monotonic()
-
-    def __call__(self, key: Any, progress: Any) -> None:
-        if (
-            time.monotonic() - self._last >= interval(_EVERY)
-            and progress.evaluations < progress.budget
-        ):
-            self._last = time.monotonic()
-            done = f"{progress.evaluations}/{progress.budget}"
-            note(f"{key}: {done}, best {number(progress.best_loss)}")
+    return execute_all(comparison)
 
 
 def _report(args: argparse.Namespace) -> int:

@@ -7,7 +7,7 @@ import json
 import math
 import os
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ from fide_plugins.cli.terminal import (
 from fide_plugins.errors import FideError, RenderError
 from fide_plugins.recording.parameters import lines
 
-__all__ = ["execute_comparisons", "execute_each", "execute_run"]
+__all__ = ["execute_all", "execute_comparisons", "execute_run"]
 
 _MOST = 12  # parameters that are printed where a run is stopped
 
@@ -97,12 +97,9 @@ def execute_comparisons(
     return _execute(command, prepare, execute, stopped, "it stopped")
 
 
-def execute_each(comparisons: Sequence[Any], on_progress: Callable[..., None] | None = None) -> int:
-    """Execute comparisons with a line for each run that ends; returns 1 if a run failed, else 0.
-
-    on_progress: see `Comparison.execute`.
-    """
-    total, done, failed = sum(len(each.states) for each in comparisons), 0, 0
+def execute_all(comparison: Any) -> int:
+    """Execute a comparison, with a line for each run that ends; returns 1 if one failed."""
+    total, done, failed = len(comparison.states), 0, 0
 
     def on_outcome(outcome: Any) -> None:
         nonlocal done, failed
@@ -111,8 +108,7 @@ def execute_each(comparisons: Sequence[Any], on_progress: Callable[..., None] | 
         if outcome.kind != "kept":
             note(f"[{done}/{total}] {_outcome(outcome)}")
 
-    for each in comparisons:
-        each.execute(on_outcome, on_progress)
+    comparison.execute(on_outcome)
     if failed:
         note(f"{failed} of {total} runs failed; error.txt in their directories has the tracebacks")
     return int(failed > 0)

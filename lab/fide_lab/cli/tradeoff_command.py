@@ -17,7 +17,7 @@ import json
 from typing import Any
 
 from fide_lab.cli.arguments import add_grid_arguments
-from fide_lab.cli.running import execute_comparisons, execute_each
+from fide_lab.cli.running import execute_all, execute_comparisons
 from fide_plugins.cli.arguments import names, whole
 from fide_plugins.cli.terminal import note, plain
 
@@ -50,7 +50,7 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
         args,
         command,
         lambda: _prepare(args, command),
-        lambda comparison: max(execute_each([comparison]), _write(args)),
+        lambda comparison: max(execute_all(comparison), _write(args)),
     )
 
 

@@ -19,7 +19,7 @@ from typing import Any
 from fide_lab.compare.directory import ComparisonDirectory
 from fide_lab.compare.one_run import ERROR, Outcome, State, run_one
 from fide_lab.compare.plan import Checked, Plan, RunKey
-from fide_lab.run import Interrupted, Progress
+from fide_lab.run import Interrupted
 from fide_plugins.errors import OptionError
 from fide_plugins.recording.signals import Interrupts
 from fide_plugins.runtime import files, machine
@@ -175,8 +175,6 @@ def _sees(path: str) -> bool:
 
 
 Item = tuple[RunKey, dict[str, Any]]
-OnOutcome = Callable[[Outcome], None]
-OnProgress = Callable[[RunKey, Progress], None]
 
 
 def run(plan: Plan, out: str | os.PathLike[str], **settings: Any) -> list[Outcome]:
@@ -232,13 +230,10 @@ class Comparison:
         """State of each run before the start."""
         return self.directory.states
 
-    def execute(
-        self, on_outcome: OnOutcome | None = None, on_progress: OnProgress | None = None
-    ) -> list[Outcome]:
+    def execute(self, on_outcome: Callable[[Outcome], None] | None = None) -> list[Outcome]:
         """Execute the missing runs; returns the outcome of each run.
 
         on_outcome: called when a run ends.
-        on_progress: called during each run, in one process only.
 
         Raises Interrupted (a KeyboardInterrupt) after SIGINT or SIGTERM, when all is saved.
         """
@@ -246,7 +241,7 @@ class Comparison:
         self.directory.begin(self.command, workers)
         outcomes = []
         try:
-            with closing(self._outcomes(on_progress)) as arriving:
+            with closing(self._outcomes()) as arriving:
                 for outcome in arriving:
                     if outcome.kind == "interrupted":
                         raise Interrupted(outcome.signum)
@@ -258,7 +253,7 @@ class Comparison:
                 self.directory.end()
         return outcomes
 
-    def _outcomes(self, on_progress: OnProgress | None) -> Generator[Outcome, None, None]:
+    def _outcomes(self) -> Generator[Outcome, None, None]:
         items = list(self.checked.settings.items())
         out, checked = self.directory.path, self.checked
         work = partial(_work, self.plan, out, self.command, checked.versions, checked.said)
@@ -268,9 +263,7 @@ class Comparison:
         elif self.jobs > 1:
             yield from _interruptible(in_processes(work, items, self.jobs, lost))
         else:
-            for item in items:
-                report = None if on_progress is None else partial(on_progress, item[0])
-                yield work(item, report)
+            yield from map(work, items)
 
 
 def _work(
@@ -280,10 +273,9 @@ def _work(
     versions: dict[str, str],
     said: frozenset[str],
     item: Item,
-    on_progress: Callable[[Progress], None] | None = None,
 ) -> Outcome:
     key, settings = item
-    return run_one(plan, key, settings, out, command, on_progress, versions, said)
+    return run_one(plan, key, settings, out, command, versions, said)
 
 
 def _note_lost(out: Path, item: Item, why: str = "the process that ran it died") -> Outcome:

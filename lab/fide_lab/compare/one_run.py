@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import shutil
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from fide_lab.compare.plan import Plan, RunKey, target_file
-from fide_lab.run import Interrupted, Progress, Run, prepare
+from fide_lab.run import Interrupted, Run, prepare
 from fide_plugins.errors import CheckpointError
 from fide_plugins.recording.directory import TABLES, results_in
 from fide_plugins.recording.sources import edited, file_of, versions_there
@@ -109,7 +109,6 @@ def run_one(
     settings: dict[str, Any],
     out: Path,
     command: list[str] | None = None,
-    on_progress: Callable[[Progress], None] | None = None,
     versions: Mapping[str, str] | None = None,
     said: frozenset[str] = frozenset(),
 ) -> Outcome:
@@ -136,7 +135,7 @@ def run_one(
         try:
             with said_once(set(said)):
                 run, note = _prepare(plan, key, out, command)
-            run.execute(on_progress)
+            run.execute()
         except Interrupted as stop:
             return Outcome(key, "interrupted", str(stop), signum=stop.signum)
         except (Exception, SystemExit) as error:
