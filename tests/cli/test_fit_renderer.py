@@ -220,7 +220,7 @@ RENDERER = ["target.png", "--renderer"]
         ([*COMMAND, "ls {out} {gray}", "--space", "space.toml"], "'rows' of the space is nowhere"),
         ([*COMMAND, "ls {out} {gry}", "--space", "space.toml"], "{gry} .*did you mean {gray}"),
         ([*COMMAND, "ls {gray} {rows}", "--space", "space.toml"], "has no {out}"),
-        ([*COMMAND, "nope {out}", "--space", "space.toml"], "no program 'nope' on the PATH"),
+        ([*COMMAND, "nope {out}", "--space", "space.toml"], "no program 'nope' that may be"),
         ([*COMMAND, "ls {out} {gray}", "--space", "."], "--space: '.' is a folder; name the TOML"),
         ([*COMMAND, "ls {out}", "--space", "typo.toml"], "typo.toml: .gray. hihg: unknown key"),
         (

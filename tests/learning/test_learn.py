@@ -288,7 +288,7 @@ def test_time_is_kept() -> None:
         ({"time": True}, OptionError, "not True"),
         ({"time": "soon"}, OptionError, "a text such as .* not 'soon'"),
         ({"augment": "photo"}, UnknownNameError, "unknown augment 'photo': known are none, photo"),
-        ({"groups": [[0], [0]]}, OptionError, "must not overlap"),
+        ({"groups": [[0], [0]]}, OptionError, "without overlap"),
         ({"emulator": True}, OptionError, "an emulator needs exchangeable blocks"),
         ({"emulator": 1}, OptionError, "emulator is True, False or None, not 1"),
         (

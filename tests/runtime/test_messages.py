@@ -74,7 +74,7 @@ def lack_images() -> None:
     [
         (clip, "are clipped"),
         (fail, "a render failed"),
-        (lack_a_parameter, "has no y, which search_space names"),
+        (lack_a_parameter, "suggests it not at all: the search goes by search_space"),
         (lack_images, "has no target, so it is CMA-ES"),
     ],
 )

@@ -124,10 +124,7 @@ def tried(render: Any = render, target: Any = PICTURE, space: Any = SPACE, **opt
         (lambda: tried(mask="alpha"), r"an alpha channel.*; or give a mask of its own, mask=ARRAY"),
         (lambda: fit(PICTURE, render, SPACE), r"^render must be a function of the parameters, not "  # type: ignore[arg-type]
          r"an array of shape \(8, 8\); the order is fit\(render, target, space\)$"),
-        (lambda: tried(budgt=3), r"^fit has no option 'budgt' \(did you mean 'budget'\?\); its own:"
-         " render, target, space, budget,.*; of FIDE, those that matter most: loss"),
-        (lambda: tried(pop_size=8), r"did you mean 'popsize'"),
-        (lambda: tried(weight=PICTURE), r"did you mean 'weights'"),
+        (lambda: tried(budgt=3), r"^fit has no option 'budgt' \(did you mean 'budget'\?\); known"),
         (lambda: Space.from_toml('[a]\ntype = "int"\nlow = 0\nhihg = 1'), "unknown key"),
     ],
 )  # fmt: skip

@@ -106,7 +106,7 @@ def _photograph(name: str) -> NDArray[np.uint8]:
 
 # -- photographs -----------------------------------------------------------------------------------
 
-_BOARD = {"rx": (-0.9, 0.9), "ry": (-0.9, 0.9), "rz": (-np.pi, np.pi), "cx": (80, 560),
+BOARD = {"rx": (-0.9, 0.9), "ry": (-0.9, 0.9), "rz": (-np.pi, np.pi), "cx": (80, 560),
           "cy": (60, 420), "dist": (8, 26), "f": (450, 650), "k1": (-0.4, 0), "ink": (0, 0.4),
           "paper": (0.5, 1), "bg": (0.1, 0.8)}  # fmt: skip
 _NEAR = 0.1  # of each range: the box of a problem that begins some 15 pixels off
@@ -124,12 +124,12 @@ def _board(number: int, near: bool) -> Problem:
 
     Error: mean distance of its 54 corners from those that OpenCV detects, in pixels of 640 x 480.
     """
-    board, ranges = _boards()[number], dict(_BOARD)
+    board, ranges = _boards()[number], dict(BOARD)
     target = _gray(_photograph("boards")[120 * number : 120 * (number + 1)] / np.float32(255))
     if near:
         rng = np.random.default_rng(number)
         for name, at in board["pose"].items():
-            low, high = _BOARD[name]
+            low, high = BOARD[name]
             width = _NEAR * (high - low)
             start = at - rng.uniform(0.25, 0.75) * width
             ranges[name] = (start, start + width)

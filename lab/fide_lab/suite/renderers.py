@@ -32,7 +32,6 @@ def _smaller(image: Any, width: int, height: int) -> Float32:
 
 # -- a chessboard before a camera with radial distortion -------------------------------------------
 
-_WIDTH, _HEIGHT = 160, 120  # of a render; the photograph has four times as many
 _CORNERS = np.zeros((54, 3))
 _CORNERS[:, :2] = np.mgrid[0:9, 0:6].T.reshape(-1, 2)
 
@@ -45,10 +44,11 @@ def _board_pose(p: Values) -> tuple[Float64, Float64]:
     return R, center - R @ [4, 2.5, 0]
 
 
-def board(p: Values) -> tuple[Float32, Float32]:
-    """Image (120, 160), and coverage: the board, on a plain ground."""
+def board(p: Values, width: int = 160) -> tuple[Float32, Float32]:
+    """Image (3/4 width, width), and coverage: the board, on a plain ground."""
     R, T = _board_pose(p)
-    v, u = np.mgrid[0 : 2 * _HEIGHT, 0 : 2 * _WIDTH] * 2 + 0.5  # pixels of the photograph
+    height, pixel = 3 * width // 4, 320 / width  # of half a pixel, in those of the photograph
+    v, u = (np.mgrid[0 : 2 * height, 0 : 2 * width] + 0.5) * pixel - 0.5
     seen = np.stack([u - 320, v - 240]) / p["f"]
     far = (seen**2).sum(axis=0)
     r = far
@@ -59,10 +59,11 @@ def board(p: Values) -> tuple[Float32, Float32]:
     x, y, z = np.tensordot(to_board[:, :2], seen / bend, 1) + to_board[:, 2, None, None]
     z = np.where(abs(z) < 1e-9, 1e-9, z)
     x, y = x / z, y / z
-    covered = (x > -1.4) & (x < 9.4) & (y > -1.05) & (y < 6.05) & (z > 0)
-    black = (np.floor(x) + np.floor(y)) % 2 == 0
+    covered = (x > -0.7) & (x < 8.62) & (y > -1.1) & (y < 6.05) & (z > 0)
+    squares = (x > -0.53) & (x < 8.48) & (y > -0.95) & (y < 5.93)  # the outermost are cut
+    black = squares & ((np.floor(x) + np.floor(y)) % 2 == 0)
     image = np.where(covered, np.where(black, p["ink"], p["paper"]), p["bg"])
-    return _smaller(image, _WIDTH, _HEIGHT), _smaller(covered, _WIDTH, _HEIGHT)
+    return _smaller(image, width, height), _smaller(covered, width, height)
 
 
 def board_corners(p: Values) -> Float64:
