@@ -20,7 +20,7 @@ import numpy as np
 from rows import Row, rows_of
 from suite import budget_of, file_of, label_of, longest
 
-from fide_lab.report.tables import Entry, Table, markdown
+from fide_lab.report.tables import Table, markdown
 from fide_lab.suite import names, read
 from fide_lab.suite.page import sign_test
 from fide_lab.suite.scores import within
@@ -48,20 +48,19 @@ def pair_of(name: str, ours: Row, theirs: Row, budget: int) -> Pair:
     return name, a, b, ours["losses"][str(budget)], theirs["losses"][str(budget)]
 
 
-def line(name: str, found: list[Pair]) -> tuple[Entry, ...]:
+def line(name: str, found: list[Pair]) -> tuple[str, ...]:
     """A line of the table."""
     ours, theirs = (np.isfinite([pair[i] for pair in found]) for i in (1, 2))
     a, b = np.array([pair[3:] for pair in found if np.isinf(max(pair[1:3]))]).reshape(-1, 2).T
     only = int((ours & ~theirs).sum()), int((theirs & ~ours).sum())
     mcnemar = sign_test(ours.astype(float), theirs.astype(float))
-    texts = (
+    return (
         name, str(len(found)), str(ours.sum()), str(theirs.sum()), f"{only[0]}, {only[1]}",
         f"{mcnemar:.2g}", f"{(a < b).sum()} of {len(a)}", f"{sign_test(a, b):.2g}",
     )  # fmt: skip
-    return tuple(Entry(text, text) for text in texts)
 
 
-def table(lines: Sequence[tuple[Entry, ...]], ours: str, theirs: str) -> str:
+def table(lines: Sequence[tuple[str, ...]], ours: str, theirs: str) -> str:
     """The lines under their titles, in Markdown; names of the two that they compare."""
     titles = (
         "scene", "problems", ours, theirs, f"only {ours}, only {theirs}", "p",
