@@ -23,6 +23,7 @@ from fide_plugins.population.candidate import TrainingSample, columns, in_order
 from fide_plugins.proposers import channel_subsets, make_proposer, make_steps
 from fide_plugins.proposers.image_gate import ImageGate
 from fide_plugins.runtime.machine import timed
+from fide_plugins.runtime.messages import warn_user
 from fide_plugins.runtime.schema import array, check, maybe
 from fide_plugins.runtime.threads import Lock, one_at_a_time, one_thread
 from fide_plugins.saving import Saved
@@ -766,6 +767,11 @@ class FIDE(Saved):
         from fide_plugins.learning.hypotheses import as_model, posterior_of
 
         model = as_model(learned)
+        if model is not None and self.options.photo and model.report.clutter is None:
+            warn_user(
+                f"photo=True is for photographs, and the model of {model.renderer!r} has learned "
+                "renders without clutter: learn one with backgrounds or clutter=True"
+            )
         return model, posterior_of(model, self.space or self.dim, target, self.seed)
 
     def random_point(self, number: int) -> Float64:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from fide_plugins import FIDE
 from fide_plugins.cli import main
 from fide_plugins.errors import ImageError, OptionError
 from fide_plugins.learning import LearnProgress, Model, learn
@@ -143,6 +145,17 @@ def test_an_interrupted_training_composes_the_same(tmp_path: Path) -> None:
 def test_clutter_without_a_coverage_changes_light_and_what_is_in_front() -> None:
     model = learn(opaque, 2, clutter=True, **QUICK)
     assert model.report.clutter == "clutter without backgrounds"
+
+
+def test_of_a_photograph_a_model_without_clutter_is_warned_of() -> None:
+    plain, cluttered = learn(opaque, 2, **QUICK), learn(opaque, 2, clutter=True, **QUICK)
+    photograph = opaque(np.array([0.4, 0.6]))
+    with pytest.warns(UserWarning, match="without clutter: learn one with backgrounds"):
+        FIDE(2, photograph, learned=plain, photo=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        FIDE(2, photograph, learned=cluttered, photo=True)
+        FIDE(2, photograph, learned=plain)
 
 
 @pytest.mark.thorough
