@@ -338,13 +338,13 @@ def test_an_image_is_not_kept(adapter: type[Adapter]) -> None:
 
 @pytest.mark.parametrize(
     ("given", "got"),
-    [(np.zeros((20, 24, 3)), "one image, .*"), ([np.zeros((20, 24))] * 3, "3 images")],
+    [(np.zeros((20, 24, 3)), "ndarray"), ([np.zeros((20, 24))] * 3, "list")],
 )
 def test_other_images_than_one_for_each_view_are_refused(
     adapter: type[Adapter], given: Any, got: str
 ) -> None:
     made = adapter(FLOATS, views(ANSWER))
-    rule = rf"2 targets a render is a list of 2 images, one for each view, .*; got {got}$"
+    rule = rf"render is a list of 2 images, one for each view, .*; got a {got} of another length$"
     with pytest.raises(ImageError, match=rule):
         made.tell(made.ask()[0], 0.1, image=given)
 

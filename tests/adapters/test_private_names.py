@@ -10,6 +10,7 @@ import fide_adapters
 FOLDER = Path(fide_adapters.__file__).parent
 UNAVOIDABLE = {
     "optuna/sampler.py": {"_base_sampler"},
+    "optuna/replica.py": {"_batches", "_taken"},
     "optuna/storage.py": {"_storage", "_study_id", "_trial_id"},
     "nevergrad/optimizer.py": {"_meta"},
     "nevergrad/parametrization.py": {"_value"},

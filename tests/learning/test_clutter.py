@@ -150,7 +150,7 @@ def test_clutter_without_a_coverage_changes_light_and_what_is_in_front() -> None
 def test_of_a_photograph_a_model_without_clutter_is_warned_of() -> None:
     plain, cluttered = learn(opaque, 2, **QUICK), learn(opaque, 2, clutter=True, **QUICK)
     photograph = opaque(np.array([0.4, 0.6]))
-    with pytest.warns(UserWarning, match="without clutter: learn one with backgrounds"):
+    with pytest.warns(RuntimeWarning, match="without clutter: learn one with backgrounds"):
         FIDE(2, photograph, learned=plain, photo=True)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
