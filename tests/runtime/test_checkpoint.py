@@ -125,7 +125,7 @@ def test_other_kind_version_and_format_are_refused(
         checkpoint.read(path, "other")
     with monkeypatch.context() as patch:
         patch.setattr(checkpoint, "VERSION", checkpoint.VERSION + 1)
-        with pytest.raises(CheckpointError, match="version 4 and this is 5"):
+        with pytest.raises(CheckpointError, match="version 5 and this is 6"):
             checkpoint.read(path, KIND)
     for foreign in (pickle.dumps([1, 2, 3]), b"PK\x03\x04" + bytes(99), b"{}"):
         path.write_bytes(foreign)
