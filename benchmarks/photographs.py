@@ -3,6 +3,7 @@
     python benchmarks/photographs.py learn boards.fide    # 60,000 renders, of no photograph
     python benchmarks/photographs.py learned guess plain wall --model boards.fide
     python benchmarks/photographs.py table --out benchmarks/results/photographs.jsonl
+    python benchmarks/photographs.py picture docs/images/boards.webp --out ...
 
 Boards: pose, focal length and distortion by rendering the board.  learned: `photo=True` with the
 model, 1,000 renders; guess: `photo=True` from a guess that is 20 pixels off, 400 renders; plain:
@@ -21,8 +22,10 @@ from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 from rows import Row, append, read, rows_of
 
 from fide_lab.suite import foreign, renderers
@@ -33,6 +36,7 @@ BUDGETS = {"learned": 1000, "guess": 400, "plain": 400, "wall": 3000}
 NUMBERS = {"learned": 13, "guess": 13, "plain": 13, "wall": 10}  # photographs, or seeds
 MARKS = 150, 250, 400, 1000, 3000
 OFF, STD = 20.0, 0.03
+SHOWN = 0, 1, 5, 7  # photographs of the picture
 RANGES = {name: at for name, at in foreign.BOARD.items() if name != "bg"}
 SPACE = Space(**{name: Float(*at, periodic=name == "rz") for name, at in RANGES.items()})
 PLAIN = Space(**{name: Float(*at, periodic=name == "rz") for name, at in foreign.BOARD.items()})
@@ -86,7 +90,8 @@ def run(arm: str, number: int, model: str | None) -> Row:
         (lambda p: draw(p)[0]) if arm == "plain" else draw, problem.target, space,
         budget=BUDGETS[arm], workers=0, seed=0, callbacks=[note], until="budget", **options,
     )  # fmt: skip
-    end = {"error": wrong(result.params), "status": result.status.code}
+    found = {name: round(value, 4) for name, value in result.params.items()}
+    end = {"error": wrong(result.params), "status": result.status.code, "params": found}
     return {"arm": arm, "number": number, "errors": errors, **end}
 
 
@@ -105,6 +110,18 @@ def run_wall(seed: int) -> Row:
     )  # fmt: skip
     end = {"error": round(problem.error(result.best.x), 2), "status": result.status.code}
     return {"arm": "wall", "number": seed, "errors": errors, **end}
+
+
+def picture(rows: list[Row], path: Path) -> None:
+    """Photographs, and below them what was found with the model, drawn over them."""
+    columns = []
+    for row in (row for row in rows if row["arm"] == "learned" and row["number"] in SHOWN):
+        photograph = foreign.make("board", row["number"]).target[..., 0]
+        image, cover = draw(row["params"], 320)
+        photograph = cv2.resize(photograph, (320, 240), interpolation=cv2.INTER_CUBIC)
+        columns.append(np.vstack([photograph, cover * image + (1 - cover) * photograph]))
+    gray = np.clip(np.hstack(columns), 0, 1)
+    Image.fromarray((255 * gray).round().astype(np.uint8)).save(path, quality=80)
 
 
 def table(rows: list[Row]) -> str:
@@ -127,7 +144,9 @@ def main() -> None:
     """Learn, run what is missing, or print the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument(
-        "what", nargs="+", metavar="learn FILE | learned | guess | plain | wall | table"
+        "what",
+        nargs="+",
+        metavar="learn FILE | learned | guess | plain | wall | table | picture FILE",
     )
     parser.add_argument("--model")
     parser.add_argument("--out", type=Path, default=Path("runs/photographs.jsonl"))
@@ -142,6 +161,9 @@ def main() -> None:
     for arm in arguments.what:
         if arm == "table":
             print(table(read(arguments.out)))
+            return
+        if arm == "picture":
+            picture(read(arguments.out), Path(arguments.what[1]))
             return
         there = {(row["arm"], row["number"]) for row in rows_of(arguments.out)}
         for number in range(NUMBERS[arm]):
