@@ -36,6 +36,16 @@ async def _call(client: Any, tool: str, **arguments: Any) -> Any:
     return result, text
 
 
+async def _over(client: Any, out: str) -> str:
+    """What is said of a run once it is over."""
+    end = time.monotonic() + 60
+    while True:
+        _, text = await _call(client, "status", out=out)
+        if json.loads(text)["state"] not in ("starting", "running") or time.monotonic() > end:
+            return text
+        await asyncio.sleep(0.2)
+
+
 async def _session(folder: Path) -> dict[str, Any]:
     """What an agent sees that fits a disk from its picture."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
@@ -51,17 +61,14 @@ async def _session(folder: Path) -> dict[str, Any]:
         found["wrong"], found["error"] = await _call(
             client, "fit", target="no.png", renderer="disk.py:render", out="runs/wrong"
         )
+        if not found["wrong"].is_error:
+            found["error"] = await _over(client, "runs/wrong")
         _, text = await _call(
             client, "fit", target="target.png", renderer="disk.py:render", out="runs/disk",
             budget=200, options=["--workers", "1"], wait=0,
         )  # fmt: skip
-        found["first"], end = json.loads(text), time.monotonic() + 60
-        while time.monotonic() < end:
-            _, text = await _call(client, "status", out="runs/disk")
-            found["last"] = json.loads(text)
-            if found["last"]["state"] not in ("starting", "running"):
-                break
-            await asyncio.sleep(0.2)
+        found["first"] = json.loads(text)
+        found["last"] = json.loads(await _over(client, "runs/disk"))
         found["picture"], _ = await _call(client, "picture", out="runs/disk")
         found["nothing"], found["no run"] = await _call(client, "status", out="runs/none")
     return found

@@ -168,7 +168,7 @@ SCRIPT = """
         time.sleep(0.05)
         return np.full((8, 8), x.mean())
 
-    fit(render, np.full((8, 8), 0.7), 3, budget=None, time="1h", workers=2, seed=0,
+    fit(render, np.eye(8), 3, budget=None, time="1h", workers=2, seed=0,
         out=sys.argv[1], resume=True, progress=False)
 """
 
