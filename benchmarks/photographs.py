@@ -116,7 +116,7 @@ def picture(rows: list[Row], path: Path) -> None:
     """Photographs, and below them what was found with the model, drawn over them."""
     columns = []
     for row in (row for row in rows if row["arm"] == "learned" and row["number"] in SHOWN):
-        photograph = foreign.make("board", row["number"]).target[..., 0]
+        photograph: NDArray[Any] = foreign.make("board", row["number"]).target[..., 0]
         image, cover = draw(row["params"], 320)
         photograph = cv2.resize(photograph, (320, 240), interpolation=cv2.INTER_CUBIC)
         columns.append(np.vstack([photograph, cover * image + (1 - cover) * photograph]))
@@ -144,9 +144,7 @@ def main() -> None:
     """Learn, run what is missing, or print the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument(
-        "what",
-        nargs="+",
-        metavar="learn FILE | learned | guess | plain | wall | table | picture FILE",
+        "what", nargs="+", help="learn FILE, learned, guess, plain, wall, table, picture FILE"
     )
     parser.add_argument("--model")
     parser.add_argument("--out", type=Path, default=Path("runs/photographs.jsonl"))
