@@ -21,7 +21,7 @@ from fide_lab.suite import foreign
 from fide_plugins import FIDE, fit
 
 PROBLEMS: dict[tuple[str, int], dict[str, Any]] = {  # options of each search, beside photo=True
-    ("board_near", 8): {"coarse_to_fine": False},
+    ("board_near", 8): {},
     ("wall", 0): {},
     ("coin", 0): {},
     ("coin", 11): {},
