@@ -3,7 +3,7 @@
     python benchmarks/photographs.py learn boards.fide    # 60,000 renders, of no photograph
     python benchmarks/photographs.py learned guess plain wall --model boards.fide
     python benchmarks/photographs.py table --out benchmarks/results/photographs.jsonl
-    python benchmarks/photographs.py picture docs/images/boards.webp --out ...
+    python benchmarks/photographs.py picture docs/images/boards.jpg --out ...
 
 Boards: pose, focal length and distortion by rendering the board.  learned: `photo=True` with the
 model, 1,000 renders; guess: `photo=True` from a guess that is 20 pixels off, 400 renders; plain:

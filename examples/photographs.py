@@ -76,7 +76,7 @@ def main(budget: int) -> None:
         if name != "wall":
             print({key: round(value, 3) for key, value in result.params.items()})
         rows.append(row(shown(problem, [result.best.x, problem.truth])))
-    file = Path(f"runs/photographs-{budget}/photographs.webp")
+    file = Path(f"runs/photographs-{budget}/photographs.jpg")
     page(rows).save(file, quality=88)
     print(f"look at {file}")
 
