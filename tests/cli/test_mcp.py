@@ -30,7 +30,7 @@ def render(p):
 """
 
 
-async def _call(client: Any, tool: str, **arguments: Any) -> Any:
+async def _call(client: Any, tool: str, **arguments: Any) -> tuple[Any, str]:
     result = await client.call_tool(tool, arguments)
     text = "".join(part.text for part in result.content if part.type == "text")
     return result, text
