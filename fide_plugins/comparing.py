@@ -52,14 +52,19 @@ def compare_anew(optimizer: FIDE, std: Float64 | None = None) -> None:
     if std is None:
         first = np.broadcast_to(optimizer.sigma0, optimizer.dim)
         std = np.clip(state.search.std, _NARROWEST * first, first)
-    given = kept.losses[kept.given]
+    before, given = kept.losses.copy(), kept.losses[kept.given]
     compared = evaluator.evaluate(len(kept), kept.images)
     compared.losses[kept.given] = given
     order = np.argsort(compared.losses, kind="stable")
     results = list(compared.of(kept.x))
     start, now = Start(kept.x[order[0]].copy(), std), state.evaluations
     blurs = state.scales.left
-    state.retarget(evaluator.target_tokens, start, state.moves.hypotheses.posterior)
+    hypotheses = state.moves.hypotheses
+    posterior, typical = hypotheses.posterior if state.moves.descends else None, hypotheses.typical
+    change = float(np.median(compared.losses)) / max(float(np.median(before)), 1e-300)
+    state.retarget(evaluator.target_tokens, start, posterior)
+    if posterior is not None and typical is not None:
+        hypotheses.typical = change * typical
     state.memory = Memory(optimizer.options.memory_mb)
     for i in order:
         state.evaluations = int(kept.evaluations[i])

@@ -308,8 +308,9 @@ class FIDE(Saved):
         first: (m, d), points that are asked first.  None: the user's guess, before all else.
         """
         state, population = self.state, self.state.population
-        if first is None and not population.size and self.guess is not None:
-            first = self.guess[None]
+        guess = None if state.stage is Stage.DESCENT else self.guess  # these begin around it
+        if first is None and not population.size and guess is not None:
+            first = guess[None]
         if state.generation_is_fixed and population.has_begun:
             # as many as it has, or, if nothing is pending, as many as it lacks
             n = population.size if population.pending else max(1, population.missing)
@@ -471,7 +472,7 @@ class FIDE(Saved):
             encode = self._encodes and (self.state.blur == 0.0 or given)
             results = evaluator.evaluate(n, batch, losses, features, version=version, encode=encode)
         self.state.clipping = clipping
-        if given and n:  # of a user: not at any blur
+        if given and np.isfinite(results.losses).any():  # of a user: not at any blur
             self.state.stay_sharp()
         kept = self.state.kept
         if kept is not None and batch is not None:
@@ -836,6 +837,8 @@ class FIDE(Saved):
             if posterior is not None and known and moves.is_wider(posterior, recalled.start):
                 posterior = None  # the memory says more exactly where the answer is
             self.evaluator, self._model = evaluator, model
+            if state.kept is not None:
+                state.kept = type(state.kept)(self.dim)  # the old were of another picture
             state.retarget(evaluator.target_tokens, recalled.start, posterior)
             if posterior is None:
                 state.teach(recalled.samples, recalled.start.std, self.popsize)

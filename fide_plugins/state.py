@@ -249,7 +249,12 @@ class State:
         """
         asked = {candidate.index for candidate in members}
         own = [sample for sample in samples if sample.index in asked]
-        self._go_on(self.moves.learn(own, members[int(np.argmin(losses))].x, target))
+        descending = self.stage is Stage.DESCENT
+        stage = self.moves.learn(own, members[int(np.argmin(losses))].x, target)
+        if descending:
+            self.injected = None  # its loss is of this blur
+            self.scales.begin_at(0.0)
+        self._go_on(stage)
 
     def _go_on(self, stage: Stage) -> None:
         """Forget the generation; begin another search, if that comes next."""

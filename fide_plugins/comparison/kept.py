@@ -46,16 +46,16 @@ class Kept:
         return len(self.x)
 
     @property
-    def covers(self) -> Float32 | None:
-        """Coverage (n, H, W) of the renders; None: they have none."""
-        if self.images is None or self.images.shape[3] < 4:
-            return None
-        return self.images[..., 3]
+    def covered(self) -> bool:
+        """Whether the renders have a coverage."""
+        return self.images is not None and self.images.shape[3] == 4
 
     def note(
         self, x: Float64, images: Float32, losses: Float64, evaluation: int, *, given: bool
     ) -> None:
         """Keep what is better than what is kept; evaluation: number of the first of them."""
+        if not len(images):
+            return
         most = min(_MOST, max(1, _BYTES // images[0].nbytes))
         worst = self.losses[-1] if len(self) >= most else np.inf
         new = np.flatnonzero(losses < worst)  # False for NaN

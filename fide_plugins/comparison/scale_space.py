@@ -118,7 +118,7 @@ class ScaleSpace:
         """
         if self.useful is not None or len(self._seen) < _SEEN:
             return None
-        if self._photo and kept is not None and kept.covers is not None:
+        if self._photo and kept is not None and kept.covered:
             return start if self._begin_photo(kept) else None
         seen = sorted(self._seen, key=lambda one: one[0])[:_SEEN]
         X = np.array([x for _, x, _ in seen])
@@ -136,7 +136,7 @@ class ScaleSpace:
     def _begin_photo(self, kept: Kept) -> bool:
         """Begin coarse with the blurs that leave enough contrast; returns whether one does."""
         self._seen, self.asked = [], True
-        left = [contrast(kept, share) for share in (0.0, *BLURS)]
+        left = [contrast(self._views, kept, share * self._side) for share in (0.0, *BLURS)]
         enough = _LEAST_CONTRAST * left[0]
         self.blurs = tuple(b for b, one in zip(BLURS, left[1:], strict=True) if one >= enough)
         self.useful = bool(self.blurs)
@@ -211,16 +211,17 @@ def _reduced(image: Float32) -> Float32:
     return np.ascontiguousarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
 
 
-def contrast(kept: Kept, share: float) -> float:
-    """Variance of blurred renders in what they cover; share: of the blur, in sides of the image."""
-    assert kept.images is not None and kept.covers is not None
+def contrast(views: Views, kept: Kept, blur: float) -> float:
+    """Variance of blurred renders in what they cover; blur: standard deviation in pixels."""
+    assert kept.images is not None
     found = []
-    for image, cover in zip(kept.images, kept.covers, strict=True):
-        shown = blurred(image[..., :3], share * min(image.shape[:2]))
-        weights = np.broadcast_to(cover[..., None], shown.shape)
-        if weights.any():
-            mean = np.average(shown, axis=(0, 1), weights=weights)
-            found.append(float(np.average(np.square(shown - mean), weights=weights)))
+    for image in kept.images:
+        for part in views.split(image[None]):
+            shown = blurred(np.ascontiguousarray(part[0, ..., :3]), blur)
+            weights = np.broadcast_to(part[0, ..., 3:], shown.shape)
+            if weights.any():
+                mean = np.average(shown, axis=(0, 1), weights=weights)
+                found.append(float(np.average(np.square(shown - mean), weights=weights)))
     return float(np.mean(found)) if found else 0.0
 
 

@@ -107,6 +107,7 @@ _PLAIN: dict[str, Schema] = {
     "move": maybe(text),
     "loss_only_searches": whole(),
     "guided": flag,
+    "descends": flag,
     "noise": maybe(real(0.0)),
 }
 _SCHEMA: dict[str, Schema] = {

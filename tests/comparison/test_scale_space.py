@@ -158,3 +158,35 @@ def test_where_nothing_is_blurred(options: Any) -> None:
     opt = made(**options)
     run(opt, 48)
     assert opt.state.blur == 0 and opt.state.scales.useful is False
+
+
+def squares(x: Float64, side: int = 48) -> tuple[Float32, Float32]:
+    """A board of small squares at x (2,), and what it covers."""
+    v, u = np.mgrid[0:side, 0:side] / side
+    cover = ((abs(u - x[0]) < 0.3) & (abs(v - x[1]) < 0.3)).astype(np.float32)
+    black = (np.floor(16 * u) + np.floor(16 * v)) % 2
+    return np.repeat(black[..., None], 3, axis=2).astype(np.float32), cover
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_of_a_photograph_blurs_that_leave_no_contrast_are_left_out(n: int) -> None:
+    image, cover = squares(np.array([0.5, 0.5]))
+    photograph = (cover * image[..., 0] + (1 - cover) * 0.3).astype(np.float32)
+    target = photograph if n == 1 else [photograph, photograph]
+    optimizer = FIDE(2, target, photo=True, seed=0)
+    while optimizer.evaluations < 60 and optimizer.state.scales.useful is None:
+        X = optimizer.ask()
+        renders = [squares(x) for x in X]
+        optimizer.tell(X, renders if n == 1 else [renders, renders])
+    assert optimizer.state.scales.asked
+    assert optimizer.state.scales.blurs == (0.0125,)
+
+
+def test_the_best_renders_of_another_picture_are_forgotten() -> None:
+    image, cover = squares(np.array([0.5, 0.5]))
+    optimizer = FIDE(2, cover * image[..., 0], photo=True, seed=0)
+    for _ in range(3):
+        X = optimizer.ask()
+        optimizer.tell(X, [squares(x) for x in X])
+    optimizer.retarget(1 - image[..., 0])
+    assert optimizer.state.kept is not None and len(optimizer.state.kept) == 0

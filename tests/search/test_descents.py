@@ -136,6 +136,33 @@ def test_with_losses_of_the_user_the_search_begins_at_the_guess() -> None:
     assert np.abs(optimizer.state.search.mean - ANSWER).max() < 0.1
 
 
+def test_a_failed_render_ends_nothing() -> None:
+    optimizer = FIDE(3, photograph(), x0=ANSWER + 0.06, sigma0=0.05, photo=True, seed=0)
+    X = optimizer.ask()
+    assert len(np.unique(X, axis=0)) == len(X)  # the guess is one of them, once
+    optimizer.tell(X[:1], None, [np.nan])
+    optimizer.tell(X[1:], [disk(x) for x in X[1:]])
+    assert optimizer.state.stage is Stage.DESCENT
+    assert len(optimizer.tell(np.empty((0, 3)), [])) == 0
+
+
+def test_where_all_renders_fail_a_sharp_search_follows() -> None:
+    optimizer = FIDE(3, photograph(), x0=ANSWER + 0.06, sigma0=0.05, photo=True, seed=0)
+    X = optimizer.ask()
+    optimizer.tell(X, None, np.full(len(X), np.nan))
+    assert (optimizer.state.stage, optimizer.state.blur) == (Stage.SEARCH, 0.0)
+
+
+def test_no_blurred_loss_comes_into_the_search() -> None:
+    optimizer = FIDE(3, photograph(), x0=ANSWER + 0.06, sigma0=0.05, photo=True, seed=0)
+    while optimizer.state.stage is Stage.DESCENT:
+        X = optimizer.ask()
+        own = np.vstack([X, ANSWER + 0.01])  # the last was never asked
+        losses = optimizer.tell(own, [disk(x) for x in own])  # sharp ones
+    assert optimizer.state.injected is not None  # what came after the last round
+    assert optimizer.state.injected[1] == losses[-1]
+
+
 def test_choices_take_part() -> None:
     space = Space(x=Float(0, 1), y=Float(0, 1), gray=Choice(0.1, 0.55, 0.9))
     x0 = space.encode({"x": 0.36, "y": 0.68, "gray": 0.55})
