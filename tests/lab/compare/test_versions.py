@@ -102,7 +102,7 @@ def change(
 
     def put(what: str) -> None:
         if what == "mine.py":
-            write(folder / what, MINE.format(least=0.5))
+            write(folder / what, MINE.format(least=0.5) + "# longer: Python caches by size\n")
         elif what == "m.fide":
             shutil.copy(models[1], folder / what)
         elif what == "the loss mine":
