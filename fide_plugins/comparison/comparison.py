@@ -133,8 +133,9 @@ class Comparison:
         parts, seen = self.views.split(image[None]), []
         for view, one, part in zip(self.views.views, self.at(0.0).each, parts, strict=True):
             x, cover = _taken(part[0])
-            light = one.light(x, cover)
-            x = x if light is None else np.clip(light.applied(x), 0, 1)
+            x = one.lit(x, cover)
+            if self.light != NONE:
+                x = np.clip(x, 0, 1)
             if cover is not None:
                 x = view.target + _times(x - view.target, cover)
             seen.append(np.asarray(x, np.float32))
@@ -146,11 +147,10 @@ class Comparison:
         parts = self.views.split(image[None])
         for view, one, part in zip(self.views.views, self.at(0.0).each, parts, strict=True):
             x, cover = _taken(part[0])
-            light = one.light(x, cover)
             weights = view.weights
             if cover is not None:
                 weights = cover if weights is None else weights * cover
-            found.append((x if light is None else light.applied(x), view.target, weights))
+            found.append((one.lit(x, cover), view.target, weights))
         return found
 
     def light_that_explains(self, images: Float32) -> str:
@@ -236,14 +236,18 @@ class _OneView:
 
     def residual(self, image: Float32, coverage: Float32 | None) -> Float32:
         """What is left of a render (H, W, 3) in its light, (H, W)."""
-        light = self.light(image, coverage)
-        y = image if light is None else light.applied(image)
+        y = self.lit(image, coverage)
         left = np.abs(blurred(y, self._blur) - self.target).mean(axis=-1)
         if coverage is not None:
             left *= blurred(coverage, self._blur)
         if self._view.weights is not None:
             left *= np.sqrt(self._view.weights)
         return np.asarray(np.clip(left, 0, 1), np.float32)
+
+    def lit(self, image: Float32, coverage: Float32 | None) -> Float32:
+        """A render (H, W, 3) in its light."""
+        light = self.light(image, coverage)
+        return image if light is None else light.applied(image)
 
     def light(self, image: Float32, coverage: Float32 | None) -> Light | None:
         kind = self._comparison.light

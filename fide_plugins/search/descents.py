@@ -13,6 +13,7 @@ from torch import Tensor
 
 from fide_plugins.population.candidate import TrainingSample
 from fide_plugins.runtime.schema import Schema, Sides, Stateful, array, whole
+from fide_plugins.search.mixed import shorter
 from fide_plugins.search.scene import Axes
 from fide_plugins.types import Float32, Float64
 
@@ -187,11 +188,7 @@ class Descents(Stateful):
 
     def _apart(self, x: Float64, y: Float64) -> Float64:
         """Signed differences (d,) of y from x, the shorter way around."""
-        apart = y - x
-        periodic = self._axes.periodic
-        if periodic is not None:
-            apart = np.where(periodic, (apart + 0.5) % 1 - 0.5, apart)
-        return np.asarray(apart, np.float64)
+        return shorter(y - x, self._axes.periodic)
 
     def load_state_dict(
         self, state: Mapping[str, Any], sides: Sides | None = None, device: Any = None

@@ -44,6 +44,11 @@ def distance(x: Float64, y: Float64, periodic: Mask | None = None) -> Float64:
     return apart if periodic is None else np.where(periodic, np.minimum(apart, 1.0 - apart), apart)
 
 
+def shorter(apart: Float64, periodic: Mask | None) -> Float64:
+    """Signed differences (..., d) of coordinates, the shorter way around where periodic."""
+    return apart if periodic is None else np.where(periodic, (apart + 0.5) % 1.0 - 0.5, apart)
+
+
 def closest(x: Float64, mean: Float64, periodic: Mask | None = None) -> Float64:
     """Return the z (n, d) with into(z) = x (n, d) that is closest to `mean` (d,)."""
     turn = 2.0 * np.round((mean - x) / 2.0)

@@ -180,7 +180,7 @@ def surroundings(
     points, matched = aligned(np.array([sample.x for sample in samples]), x, blocks, axes)
     other = (np.abs(points - x) >= _ROUNDING) & ~free
     own = matched & ~other.any(axis=1)
-    u = _signed(points - x, axes)
+    u = mixed.shorter(points - x, axes.periodic)
     away = np.where(own, np.abs(u).max(axis=1), np.inf)
     at = int(np.argmin(away))
     if own.sum() < _least(free) or away[at] > _APART:
@@ -236,13 +236,6 @@ def _least(free: Mask) -> int:
 def _nearest_images(rows: Indices, distances: Float64, number: int) -> Indices:
     """So many of the rows with the least distances (n,), in the order of asking."""
     return np.sort(rows[np.argsort(distances[rows], kind="stable")[:number]])
-
-
-def _signed(u: Float64, axes: Axes) -> Float64:
-    """Steps u (n, d), the shorter way around where an axis is periodic."""
-    if axes.periodic is None:
-        return u
-    return np.where(axes.periodic, (u + 0.5) % 1.0 - 0.5, u)
 
 
 _NUMBERS = 2**22  # differences of blocks that are held at once
