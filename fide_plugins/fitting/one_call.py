@@ -16,6 +16,7 @@ from fide_plugins.fitting.fitting import Fitting
 from fide_plugins.fitting.rendering import Renderer
 from fide_plugins.fitting.result import Result
 from fide_plugins.fitting.saved_run import SavedRun, features_of, seed_there, settings_of
+from fide_plugins.fitting.schedule import Schedule
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers import default_number, workers_for
 from fide_plugins.learning.hypotheses import with_model
@@ -34,7 +35,7 @@ _GIVEN = ("self", "dim", "target", "seed")  # arguments of the optimizer that th
 
 
 def fit(
-    render: Callable[[Any], object],
+    render: Callable[..., object],
     target: object,
     space: Space | int,
     budget: int | None = 2000,
@@ -168,7 +169,7 @@ def fit(
 
 
 def prepare(
-    render: Callable[[Any], object],
+    render: Callable[..., object],
     target: object,
     space: Space | int,
     *,
@@ -208,14 +209,11 @@ def prepare(
     optimizer = _optimizer(render, target, space, seed, options, out if resume else None)
     schedule = schedule_for(render, fidelity, optimizer)
     keywords = {} if schedule is None else schedule.finest()
-    raw = optimizer.value_range is not None
-    renderer = Renderer(render, optimizer.space, raw, keywords)
+    renderer = Renderer(render, optimizer.space, optimizer.value_range is not None, keywords)
     pool = workers_for(renderer, number, executor, limit)
     if check is not None:
         check(optimizer)
-    plan = _plan(render, optimizer, stopping, options)
-    if schedule is not None:
-        plan["settings"]["fidelity"] = schedule.options
+    plan = _plan(render, optimizer, stopping, options, schedule)
     record, saved = None, None
     if out is not None:
         record = (saved := SavedRun(out, **plan, resume=resume, command=command)).begin(optimizer)
@@ -227,7 +225,7 @@ def prepare(
 
 
 def _optimizer(
-    render: Callable[[Any], object],
+    render: Callable[..., object],
     target: object,
     space: Space | int,
     seed: int | None,
@@ -243,10 +241,16 @@ def _optimizer(
 
 
 def _plan(
-    render: Callable[[Any], object], optimizer: FIDE, stopping: Stopping, options: dict[str, Any]
+    render: Callable[..., object],
+    optimizer: FIDE,
+    stopping: Stopping,
+    options: dict[str, Any],
+    schedule: Schedule | None,
 ) -> dict[str, Any]:
     name = own_name(render)
     settings = settings_of(name, optimizer, options)
+    if schedule is not None:
+        settings["fidelity"] = schedule.options
     facts: dict[str, Any] = {}
     if callable(options.get("encoder")):  # others are known by name and version
         facts["features"] = features_of(optimizer)

@@ -28,7 +28,8 @@ def draw(params: dict[str, float], size: tuple[int, int], samples: int, seed: in
     distance = np.hypot(x - params["x"], y - params["y"]) - params["radius"]
     inside = np.clip(0.5 - distance * min(h, w), 0, 1)
     noise = np.random.default_rng(seed).normal(0, 0.1 / np.sqrt(samples), size)
-    return np.clip(0.2 + 0.6 * inside + 0.2 * x + noise, 0, 1)
+    image: Float64 = np.clip(0.2 + 0.6 * inside + 0.2 * x + noise, 0, 1)
+    return image
 
 
 def renderer(asked: Asked, fails_below: int = 0) -> Callable[..., Float64]:
@@ -60,7 +61,7 @@ def test_it_asks_for_finer_and_finer_renders_and_ends_with_the_finest(target: Fl
     assert result.cost == pytest.approx(sum(h * w * n for (h, w), n in fine) / full)
     assert result.evaluations == 400 and result.cost < 200
     assert result.params == pytest.approx(ANSWER, abs=0.01)
-    assert result.best is not None and result.best.image.shape == (64, 80, 3)
+    assert result.best is not None and np.shape(result.best.image) == (64, 80, 3)
 
 
 def test_the_best_is_rendered_again_when_renders_become_finer(target: Float64) -> None:
@@ -135,14 +136,14 @@ def test_several_workers_and_a_resumed_run(target: Float64, tmp_path: Path) -> N
         return draw(params, size, samples, 0)
 
     options: dict[str, Any] = {"executor": "threads", "workers": 3, "seed": 0, "until": "budget"}
-    own = {"fidelity": SMALL}
-    first = fit(render, target, SPACE, 40, out=tmp_path, **options, **own)
-    second = fit(render, target, SPACE, 200, out=tmp_path, resume=True, **options, **own)
+    options["fidelity"] = SMALL
+    first = fit(render, target, SPACE, 40, out=tmp_path, **options)
+    second = fit(render, target, SPACE, 200, out=tmp_path, resume=True, **options)
     assert first.cost < 20 and first.cost < second.cost < 200
     assert second.evaluations == 200
     assert second.params == pytest.approx(ANSWER, abs=0.01)
     with pytest.raises(FileExistsError, match="fidelity"):
-        fit(render, target, SPACE, 300, out=tmp_path, resume=True, fidelity=False, **options)
+        fit(render, target, SPACE, 300, out=tmp_path, resume=True, **{**options, "fidelity": False})
 
 
 @pytest.mark.parametrize(
@@ -151,7 +152,10 @@ def test_several_workers_and_a_resumed_run(target: Float64, tmp_path: Path) -> N
         (lambda: Fidelity(size=(64, 32)), "size must be the least and the most, not"),
         (lambda: Fidelity(samples=(0, 4)), "samples of Fidelity must be a whole number >= 1"),
         (lambda: Fidelity(size=64), "size must be two numbers"),  # type: ignore[arg-type]
-        (lambda: fit(len, np.zeros((8, 8)), 2, fidelity=3), "fidelity must be Fidelity"),
+        (
+            lambda: fit(len, np.zeros((8, 8)), 2, fidelity=3),  # type: ignore[arg-type]
+            "fidelity must be Fidelity",
+        ),
         (
             lambda: fit(lambda x: x, np.zeros((8, 8)), 2, fidelity=Fidelity()),
             "needs a renderer that takes size",
