@@ -6,11 +6,12 @@ import os
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import cached_property
 from types import ModuleType
 from typing import Any
 
 from fide_plugins.errors import OptionError, RenderError
-from fide_plugins.renderers.keywords import keywords_of
+from fide_plugins.renderers.keywords import keywords_of, missing_from
 from fide_plugins.renderers.naming import described
 from fide_plugins.runtime.registry import Referent, module_fingerprint, shown_traceback, version_of
 from fide_plugins.space import Space
@@ -106,6 +107,7 @@ class FunctionRenderer:
 
     def __call__(self, params: Any, **keywords: Any) -> Any:
         """Image of the parameters; keywords: how fine, of those that the function takes."""
+        keywords = {**missing_from(self.keywords), **keywords}
         try:
             with self._folder.entered():
                 return _found_from_anywhere(self._function(params, **keywords))
@@ -115,7 +117,7 @@ class FunctionRenderer:
                 f"with the parameters {described(params)}\n{shown_traceback(error, __file__)}"
             ) from None
 
-    @property
+    @cached_property
     def keywords(self) -> dict[str, Any]:
         """Of the function, see `renderers.keywords`."""
         return keywords_of(self._function)
