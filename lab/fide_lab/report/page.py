@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fide_lab.compare.plan import as_file_name, target_file
-from fide_lab.compare.results import AXES, AllFailedError, NoResultsError, Results, StoredRun
+from fide_lab.compare.results import AXES, NoResultsError, Results, StoredRun
 from fide_lab.report import plots, sentences, tables
 from fide_lab.report.document import Document, Picture, Section, Written, companion, page_path
 from fide_lab.report.panel import Panel, check_thresholds, panels
@@ -38,7 +38,7 @@ def write(
     path = page_path(page)
     check_thresholds(thresholds or {}, [run.key for run in results.runs])
     found = panels(results, thresholds or {})
-    AllFailedError.check(results)
+    results.check()
     if not found:
         raise NoResultsError(f"no run in {results.path} is finished; run: fide compare --resume")
     remarks = [*sentences.without_results(results), *sentences.not_shown(results.not_shown)]

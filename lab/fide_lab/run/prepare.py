@@ -17,7 +17,6 @@ from fide_lab.suite import read as read_suite
 from fide_plugins import losses as losses_module
 from fide_plugins.errors import CheckpointError, FideError, OptionError, RenderError
 from fide_plugins.learning.hypotheses import with_model
-from fide_plugins.losses.base import ImageLoss
 from fide_plugins.recording.directory import RunDirectory
 from fide_plugins.recording.record import Keep, Progress, Record, RunResult
 from fide_plugins.recording.sources import of_files, of_losses, of_models, of_weights
@@ -34,7 +33,9 @@ from fide_plugins.validation.images import as_target
 from fide_plugins.validation.options import check_names
 from fide_plugins.validation.points import whole_number
 
-__all__ = ["kept_of", "make_task", "prepare", "run", "settings_of", "target_of"]
+__all__ = [
+    "kept_of", "make_optimizer", "make_task", "prepare", "run", "settings_of", "target_of",
+]  # fmt: skip
 
 
 def run(
@@ -116,13 +117,16 @@ def prepare(
     settings = settings_of(
         task, target, optimizer, judge.name, budget, seed, task_options, options, keep
     )
-    searcher = _make_optimizer(optimizer, task, target, loss, seed, budget, search_options)
+    searcher = make_optimizer(optimizer, task, target, loss, seed, budget, search_options)
     record, directory = Record(), None
     if out is not None:
-        may_change = () if "budget" in optimizers.options(optimizer) else ("budget",)
+        versions = of_files({TaskInfo.of(task).name: fingerprint_of(task)}) | of_models(options)
+        if isinstance(optimizer, str):
+            versions |= of_files({optimizer: optimizers.source_of(optimizer)})
+        versions |= of_weights(searcher) | of_losses([judge, *metrics.values()])
         directory = RunDirectory(
-            out, settings, resume=resume, command=command, may_change=may_change,
-            sources=_sources(task, optimizer, options, searcher, [judge, *metrics.values()]),
+            out, settings, resume=resume, command=command, sources=versions,
+            may_change=() if "budget" in optimizers.options(optimizer) else ("budget",),
         )  # fmt: skip
         kept = None if file is None else kept_of(task, target)
         record, searcher = _started(directory, record, searcher, budget, kept)
@@ -145,23 +149,6 @@ def _check_optimizer(optimizer: Named, options: Mapping[str, Any], saved: bool) 
     check_names(options, given, "is an argument of the run, not an option of its optimizer")
 
 
-def _sources(
-    task: Task,
-    optimizer: Named,
-    options: Mapping[str, Any],
-    searcher: Optimizer,
-    losses: Sequence[ImageLoss],
-) -> dict[str, str]:
-    """Fingerprints of what a run depends on: the user's files, weights of networks, and losses.
-
-    searcher: what was made of `optimizer` and the options.
-    """
-    files = {TaskInfo.of(task).name: fingerprint_of(task)}
-    if isinstance(optimizer, str):
-        files[optimizer] = optimizers.source_of(optimizer)
-    return of_files(files) | of_models(options) | of_weights(searcher) | of_losses(losses)
-
-
 def _started(
     directory: RunDirectory,
     record: Record,
@@ -174,13 +161,10 @@ def _started(
     with ExitStack() as refused:
         refused.callback(directory.close)
         saved = directory.restore(lambda path: optimizers.load(name, path, device=device))
-        if saved is not None:
-            dim = searcher.dim
-            record, searcher = saved
-            if searcher.dim != dim:
-                raise CheckpointError(
-                    f"{directory.path}: an optimizer of {searcher.dim} parameters"
-                )
+        dim = searcher.dim
+        record, searcher = (record, searcher) if saved is None else saved
+        if searcher.dim != dim:
+            raise CheckpointError(f"{directory.path}: an optimizer of {searcher.dim} parameters")
         if record.evaluations > budget:
             raise OptionError(
                 f"the run in {directory.path} has {record.evaluations} renders already, and the "
@@ -249,7 +233,7 @@ def settings_of(
     return settings
 
 
-def _make_optimizer(
+def make_optimizer(
     optimizer: Named,
     task: Task,
     target: Float32,
@@ -258,6 +242,7 @@ def _make_optimizer(
     budget: int,
     options: dict[str, Any],
 ) -> Optimizer:
+    """The optimizer for a task; it is told the budget if that is one of its options."""
     options = {"loss": loss, "seed": seed, **options}
     if "budget" in optimizers.options(optimizer):
         options = {"budget": budget, **options}

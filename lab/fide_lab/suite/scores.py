@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from fide_lab.compare.results import AllFailedError, NoResultsError, Results, StoredRun
+from fide_lab.compare.results import NoResultsError, Results, StoredRun
 from fide_lab.suite.definition import Suite, read
 from fide_plugins.types import Float64
 
@@ -69,7 +69,7 @@ def scores(results: Results) -> Scores:
     Raises NoResultsError (a FileNotFoundError) if no problem is finished by all, AllFailedError
     (one of them) if runs failed and none is finished.
     """
-    AllFailedError.check(results)
+    results.check()
     suite = read(results.settings["task_options"]["suite"])
     labels = tuple(results.optimizers)
     table: dict[str, dict[str, StoredRun]] = {}

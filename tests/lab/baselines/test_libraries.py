@@ -62,8 +62,7 @@ def test_an_error_of_the_library_reaches_the_user() -> None:
     assert caller.over
 
 
-@pytest.mark.parametrize("how", ["close", "forget"])
-def test_a_search_is_cancelled_and_cleans_up(how: str) -> None:
+def test_a_search_that_is_forgotten_is_cancelled_and_cleans_up() -> None:
     left = []
 
     def search(function: Callable[[Any], Any]) -> None:
@@ -79,10 +78,6 @@ def test_a_search_is_cancelled_and_cleans_up(how: str) -> None:
     caller: ReverseCommunication | None = ReverseCommunication(search)
     assert caller is not None and caller.point() is not None
     assert threading.active_count() == before + 1
-    if how == "close":
-        caller.close()
-        caller.close()
-        assert caller.point() is None
     caller = None
     assert threading.active_count() == before and left == ["left"]
 
@@ -115,7 +110,6 @@ def test_the_surroundings_are_those_of_the_library_after_ctrl_c_too(
         caller.point()
     assert caller.point() is not None
     assert depths == [1, 1] and depth == 0
-    caller.close()
 
 
 def test_python_exits_while_a_search_waits() -> None:
@@ -248,9 +242,9 @@ def test_scipy_goes_on_from_the_point_that_was_put_in_the_place_of_its_own() -> 
     visits: Visits = opt._visits
     visits.denoise = lambda x, std: answer.copy()
     while visits.std is None:
-        assert not opt._proposals.made
+        assert not opt._visits.made
         opt.tell(*_one(opt))
-    while not opt._proposals.made:
+    while not opt._visits.made:
         opt.tell(*_one(opt))
     after = []
     for _ in range(200):
@@ -288,7 +282,7 @@ def test_noise_and_training_follow_the_points_of_both_kinds() -> None:
             visited.append(X[0])
         opt.tell(X, images, losses)
     np.testing.assert_array_equal(np.concatenate(trained), np.array(visited)[:60])
-    proposals = np.array(opt._proposals.made)
+    proposals = np.array(opt._visits.made)
     asked = np.array(visited)[20:60]
     among = [(p == asked).all(axis=1).any() for p in proposals[:20]]
     assert all(among)  # half of those after the first training
@@ -354,16 +348,6 @@ def test_a_smooth_problem_is_solved_in_few_renders() -> None:
         X = opt.ask()
         opt.tell(X, smooth(X))
     assert opt.best is not None and opt.best.loss < 1e-10
-
-
-def test_the_loss_plays_no_part_in_the_search_and_chooses_the_best() -> None:
-    one, other = DFOLS(DIM, TARGET, seed=0), DFOLS(DIM, TARGET, seed=0)
-    for i in range(30):
-        X, Y = one.ask(), other.ask()
-        np.testing.assert_array_equal(X, Y)
-        one.tell(X, smooth(X))
-        other.tell(Y, smooth(Y), [float(abs(i - 11))])
-    assert other.best is not None and other.best.evaluation == 11
 
 
 def test_without_the_package_it_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
