@@ -148,8 +148,6 @@ def test_the_scene_is_loaded_once(monkeypatch: pytest.MonkeyPatch) -> None:
         task.render(random_x(4))
     task.reference(random_x(1)[0])
     assert len(loaded) == 1
-    assert task.times["frames"] == 13
-    assert all(task.times[part] > 0 for part in ("load", "update", "render", "copy"))
 
 
 @needs_llvm

@@ -63,7 +63,6 @@ def test_unknown_option_lists_the_known() -> None:
         ("voronoi", {"seed": None}, "seed must be a whole number >= 0"),
         ("spline", {"control_points": 1}, "control_points must be a whole number >= 2"),
         ("lamps", {"lamps": 0}, "lamps must be a whole number >= 1, not 0"),
-        ("lamps", {"layout": "rows"}, "layout must be one of 'block', 'strided', not 'rows'"),
         ("sprites", {"sprites": 2.5}, "sprites must be a whole number >= 1, not 2.5"),
         ("triangles", {"triangles": 1}, "triangles must be a whole number >= 2, not 1"),
         ("triangles", {"opacity": 0}, r"opacity must lie in \(0, 1\], not 0"),

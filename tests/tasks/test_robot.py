@@ -113,7 +113,7 @@ def test_poses_that_are_badly_seen_are_no_targets() -> None:
     assert panda.is_good(aside)
 
 
-def test_samples_soften_edges_and_shadows_darken_the_floor(task: Robot) -> None:
+def test_samples_soften_edges(task: Robot) -> None:
     x = random_x(4, 5)
     plain = task.render(x)
     soft = Robot(64, samples=4).render(x)
@@ -121,10 +121,6 @@ def test_samples_soften_edges_and_shadows_darken_the_floor(task: Robot) -> None:
     assert 0.005 < changed.mean() < 0.3
     fine = Robot(256).render(x).reshape(4, 64, 4, 64, 4, 3).mean(axis=(2, 4))
     assert np.abs(soft - fine).mean() < 0.6 * np.abs(plain - fine).mean()
-    dark = Robot(64, shadows=True).render(x)
-    darker = (dark - plain).mean(axis=3) < -0.05
-    assert 0.005 < darker.mean() < 0.3
-    assert (dark - plain).max() < 0.1
 
 
 @pytest.mark.parametrize(
@@ -132,8 +128,7 @@ def test_samples_soften_edges_and_shadows_darken_the_floor(task: Robot) -> None:
     [
         ({"samples": -1}, "samples must be a whole number >= 0, not -1"),
         ({"samples": 0.5}, "samples must be a whole number"),
-        ({"shadows": 1}, "shadows must be True or False, not 1"),
-        ({"spp": 8}, "robot has no option 'spp'; it has model, samples, shadows, target"),
+        ({"spp": 8}, "robot has no option 'spp'; it has samples, target"),
     ],
 )
 def test_bad_options_are_refused(options: dict[str, Any], message: str) -> None:

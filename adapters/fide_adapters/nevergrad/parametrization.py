@@ -132,13 +132,7 @@ class Cube:
 
 
 class _Axes:
-    """Axes of standardized data.
-
-    lower, upper: (d,), bounds; infinite where there are none.
-    free: (d,), which have no bounds.
-    std: (d,), slope dx/dz at z = 0, but at most 1/3.
-    off_center: (d,), where x(0) is not 1/2.
-    """
+    """Axes of standardized data."""
 
     def __init__(self, lower: Float64, upper: Float64) -> None:
         self.lower, self.upper, self.dim = lower, upper, len(lower)
@@ -187,10 +181,7 @@ class _Axes:
 
 
 def _kinds(leaf: Any, choice: Any) -> list[Kind]:
-    """What the values of a leaf are; [] where it is read and written by its standardized data.
-
-    choice: that the leaf belongs to, or None.
-    """
+    """What the values of a leaf are; [] where it is read and written by its standardized data."""
     if isinstance(choice, p.Choice):
         n = len(choice)
         return [Choice(*range(n))] * (leaf.dimension // n) if 1 < n <= _MOST_CHOICES else []

@@ -113,10 +113,7 @@ class Replica:
         return self.candidate(slot)
 
     def _preview(self, rng: np.random.Generator) -> Candidate | None:
-        """Draw one candidate, from search and proposer as they would be updated now; None: neither.
-
-        Changes nothing: a lazy proposer is updated in a copy; a network proposes as it is.
-        """
+        """One candidate of search and proposer as they would be updated now; None: neither."""
         state = self.optimizer.state
         search, proposer = state.preview_search(), state.proposer
         if search is None:
@@ -224,10 +221,7 @@ class Replica:
         return known.x
 
     def _expect_other(self, x: Float64, slot: int | None, proposed: bool) -> CandidateRole:
-        """Expect x (d,), which is no candidate; returns what it counts for.
-
-        slot: of the present generation, in which it was asked; None: it was asked in another one.
-        """
+        """Expect x (d,), which is no candidate; returns what it counts for."""
         state, role = self.optimizer.state, CandidateRole.MEMBER
         if state.generation_is_fixed:
             if slot is None or slot in self._taken:

@@ -301,10 +301,7 @@ def _sampler_of(trial: Trial) -> FIDESampler:
 
 
 class _NumberedSampler(RandomSampler):
-    """Uniform parameters from (seed, number of the trial, name of the parameter).
-
-    With a plain `RandomSampler` all workers of equal seed would begin with the same parameters.
-    """
+    """Uniform parameters from (seed, number of the trial, name of the parameter)."""
 
     def __init__(self, seed: int | None = None) -> None:
         super().__init__()  # whose generator is not used, and takes no seed beyond 32 bits

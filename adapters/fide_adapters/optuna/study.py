@@ -347,11 +347,7 @@ class StudyState:
     # -- results -----------------------------------------------------------------------------------
 
     def _evaluation(self, study: Study, trial: FrozenTrial, only_stored: bool) -> Evaluation | None:
-        """Loss and features of a finished trial; None if it does not count.
-
-        only_stored: whether to use features only as they are stored.
-        Raises StoredFeaturesNeeded if the features are known only as they are stored.
-        """
+        """Loss and features of a finished trial; None if it does not count."""
         settings = self._settings
         loss = loss_of(study, trial, settings.warn)
         if loss is None or self._is_of_another_problem(trial):

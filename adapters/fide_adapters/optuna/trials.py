@@ -199,11 +199,7 @@ class TrialOrder:
 
 
 def _most_at_once(completed: list[FrozenTrial]) -> int:
-    """How many of these trials were completed while one of them ran, itself included, at most.
-
-    Only the times of completed trials say how many workers are alive: trials of those that were
-    killed run forever.
-    """
+    """How many of these trials were completed while one of them ran, itself included, at most."""
     times = [
         (trial.datetime_start.replace(tzinfo=None), trial.datetime_complete.replace(tzinfo=None))
         for trial in completed

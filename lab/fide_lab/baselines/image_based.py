@@ -113,10 +113,7 @@ class PosteriorSampler:
 
 
 def _whitened_loss(denoise: Denoise, x: Tensor, std: Tensor, generator: torch.Generator) -> Tensor:
-    """Karras et al. 2022, Table 1: ln t ~ N(0, 1.5^2), one time and noise for each example.
-
-    With the weight (1 + t^2) / (t std)^2, a network with output zero has loss 1 at every level.
-    """
+    """Karras et al. 2022, Table 1: ln t ~ N(0, 1.5^2), one time and noise for each example."""
     t = (1.5 * standard_normal((len(x), 1), x, generator)).exp()
     s = t * std  # (B, d)
     eps = standard_normal(x.shape, x, generator)  # ~ N(0, I)
@@ -125,11 +122,7 @@ def _whitened_loss(denoise: Denoise, x: Tensor, std: Tensor, generator: torch.Ge
 
 
 def _whiten_box(network: Network) -> Denoise:
-    """Denoiser of data uniform in the box: input and ideal output of the network have variance 1.
-
-    With u = (z - 1/2) / std and r = s / std, the estimate is
-    u / (1 + r^2) + r / sqrt(1 + r^2) * network(u / sqrt(1 + r^2), r).
-    """
+    """Denoiser of data uniform in the box: the network's input and output have variance 1."""
 
     def denoise(z: Tensor, s: Tensor) -> Tensor:
         r = s / BOX_STD  # [B, d]

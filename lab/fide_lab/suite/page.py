@@ -182,11 +182,7 @@ def _by_budget(
     counted: Sequence[NDArray[Any]],
     values: Sequence[Float64],
 ) -> Table:
-    """A row an optimizer: for each budget its count, and p against the one that has most.
-
-    counted: (P, S) for each budget, 1 for a problem that counts.
-    values: (P, S) for each budget, what the test compares; the higher the better.
-    """
+    """A row an optimizer: for each budget its count, and p against the one that has most."""
     columns = [("optimizer", "name and options")]
     rows: list[list[str]] = [[name] for name in names]
     for budget, counts, value in zip(found.budgets, counted, values, strict=True):
