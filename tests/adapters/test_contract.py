@@ -21,7 +21,6 @@ from optuna.distributions import (
 )
 from PIL import Image
 
-from fide_adapters.image_loss import ImageRef
 from fide_adapters.nevergrad import NoImagesWarning, ParametrizedFIDE
 from fide_adapters.optuna import FIDESampler
 from fide_plugins import FIDE, Choice, Float, Int, Space
@@ -248,7 +247,6 @@ FORMS: dict[str, Callable[[Path], Any]] = {
     "nested lists": lambda folder: RGB.tolist(),
     "path": lambda folder: saved(folder / "a.png"),
     "text": lambda folder: str(saved(folder / "a.png")),
-    "reference": lambda folder: ImageRef(saved(folder / "a.png")),
 }
 
 
@@ -292,7 +290,6 @@ BAD: dict[str, tuple[Any, str]] = {
     "int64": (np.zeros((SIZE, SIZE, 3), np.int64), "uint8.*int64"),
     "NaN pixels": (np.full((SIZE, SIZE, 3), np.nan), "must be finite.*nan_to_num"),
     "a batch": (np.zeros((2, SIZE, SIZE, 3)), r"\(H, W\).*\(2, 8, 8, 3\)"),
-    "no such file": (ImageRef("absent.png"), "no image file"),
     "no such path": ("/no/such/file.png", "/no/such/file.png"),
 }
 

@@ -26,8 +26,7 @@ The search begins at x(0), with the slope dx/dz there as standard deviation, but
 whose bounds are at infinity in standardized space (methods `arctan` and `tanh`) are unbounded.
 
 An initial value that a user has chosen is a guess, which FIDE asks first; the middle of two bounds,
-or zero without bounds, is Nevergrad's.  Standardized, each initial value is zero, so whether it was
-zero before is read from `_value` of the leaves: there is no public way.
+or zero without bounds, is Nevergrad's.  It is read from `_value` of the leaves: no public way is.
 """
 
 from __future__ import annotations
