@@ -208,27 +208,6 @@ def test_without_images_it_is_cma_es(adapter: type[Adapter], target: Any) -> Non
         alone.tell(x, losses=[loss])
 
 
-@pytest.mark.slow
-def test_so_it_is_over_5000_renders(adapter: type[Adapter]) -> None:
-    """Eight Voronoi cells."""
-    import fide_tasks
-
-    task = fide_tasks.make("voronoi", size=32, seed=0)
-    kinds = {f"x{i:03}": Float(0, 1) for i in range(task.dim)}
-    made = adapter(kinds, task.target)
-
-    def render(p: Params) -> Any:
-        return task.render(np.array([list(p.values())]))[0]
-
-    expected = core(adapter, kinds, task.target, render)
-    for _ in range(5000):
-        candidate, params = made.ask()
-        np.testing.assert_allclose(
-            list(params.values()), list(next(expected).values()), rtol=0, atol=1e-9
-        )
-        made.tell(candidate, image=render(params))
-
-
 # -- images ----------------------------------------------------------------------------------------
 
 BYTES = np.round(TARGET * 255).astype(np.uint8)
@@ -272,14 +251,6 @@ def best_of(made: Any) -> float:
     if isinstance(made, InOptuna):
         return float(made.study.best_value)
     return float(made.optimizer.recommend().loss)
-
-
-@pytest.mark.parametrize("image", [TARGET[..., :1], TARGET[..., 0], TARGET[..., 0] > 0.5])
-def test_images_of_one_channel(adapter: type[Adapter], image: Any) -> None:
-    made = adapter(FLOATS, np.repeat(np.reshape(image, (SIZE, SIZE, 1)), 3, axis=2).astype(float))
-    candidate, _ = made.ask()
-    made.tell(candidate, image=image)
-    assert best_of(made) == pytest.approx(0, abs=1e-12)
 
 
 BAD: dict[str, tuple[Any, str]] = {

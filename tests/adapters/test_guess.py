@@ -188,9 +188,3 @@ def test_an_initial_value_that_nevergrad_has_chosen_is_no_guess(parametrization:
     with pytest.warns(Warning, match="has no target"):
         optimizer.ask()
     assert optimizer.fide.guess is None
-
-
-def test_an_initial_value_without_bounds_is_one() -> None:
-    parametrization = ng.p.Array(init=[3.0, -40.0, 0.1])
-    optimizer = ParametrizedFIDE(target=TARGET, seed=0)(parametrization, budget=9)
-    np.testing.assert_array_equal(optimizer.ask().value, [3.0, -40.0, 0.1])

@@ -5,14 +5,13 @@
         def ask(self, n): ...                       # (n, dim) in [0, 1]
         def tell(self, X, losses): ...              # or tell(self, X, images, losses)
 
-The other parameters of the constructor are its options, as of ``--set``; any, if it has
-``**options``.  Two more attributes are optional: `popsize`, the n that it is asked for, by default
-4 + 3 ln dim; and `recommend()`, a point (dim,), by default the best.
+The other parameters of the constructor are its options.  Two more attributes are optional:
+`popsize`, the n that it is asked for, by default 4 + 3 ln dim; and `recommend()`, a point (dim,),
+by default the best, which is tried once after the first generation.
 
-`tell` gets the points (n, dim) of one `ask`, all of them, as they were asked; the images (n, H, W,
-3), float32 in [0, 1]; and the losses (n,), infinite where a loss was NaN.  A generation that the
-budget cuts short is not told.  `recommend` is tried once after the first generation, so that a
-wrong one does not cost the budget.  NumPy's and Python's global generators are seeded for it.
+`tell` gets all points (n, dim) of one `ask`, as they were asked; the images (n, H, W, 3), float32
+in [0, 1]; and the losses (n,), infinite where a loss was NaN.  A generation that the budget cuts
+short is not told.  NumPy's and Python's global generators are seeded for it.
 """
 
 from __future__ import annotations

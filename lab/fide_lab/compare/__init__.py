@@ -8,13 +8,6 @@
 
 `run` executes the missing runs of a plan in a directory, and `read` reads the directory back.
 The package `fide_lab.report` reports the results.
-
-================  ===============================================================
-`plan`            tasks x losses x configurations x seeds, checked before the start
-`directory`       the directory of a comparison, and the state of each of its runs
-`driver`          executes the missing runs, here, in processes, by Dask
-`results`         reads a comparison back
-================  ===============================================================
 """
 
 from __future__ import annotations

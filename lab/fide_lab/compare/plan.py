@@ -143,10 +143,8 @@ class Checked(NamedTuple):
 class Plan:
     """What a comparison runs.
 
-    For one task and one loss, all configurations have the same target and the same box, and the
-    same budget but for those that name their own.  Searches start from the center of the box;
-    optimizers that draw their first candidates (`random`, `inverse`) do not.  Runs with the
-    same seed form a pair.
+    For one task and one loss, all configurations have the same target, box and budget, but for
+    those that name their own.  Runs with the same seed form a pair.
 
     tasks, losses: names; configurations: optimizers with options; seeds: number of seeds, from 0.
     budget: renders of each run.

@@ -80,24 +80,19 @@ def prepare(
 
     task: name in `fide_tasks`; ``FILE.py:NAME``, or any name with the option `command`, for a
         user's renderer, see `task.make_renderer_task`; or a `Task`.
-    size, task_seed, task_options: arguments of a task that is given by name; a user's renderer has
-        its own size.
-    optimizer: name in `fide_lab.optimizers`; ``FILE.py:NAME`` for a user's class, see
-        `baselines.own`; or a class, or a function ``(dim, target, loss=, seed=, **options)`` that
-        makes an optimizer.
+    size, task_seed, task_options: arguments of a task that is given by name.
+    optimizer: name in `fide_lab.optimizers`; ``FILE.py:NAME`` for a user's class; or a class, or a
+        function ``(dim, target, loss=, seed=, **options)`` that makes an optimizer.
     loss: name in `fide_plugins.losses`, or a callable images -> (n,).
     budget: number of candidates to render.
     seed: of the optimizer, and of the renderer's noise.
     options: of the optimizer, such as popsize.
     out: run directory; None writes nothing.
-    resume: continue the run in `out` if there is one; otherwise start it.  The budget may be a
-        larger one, unless the optimizer depends on it.
-    checkpoint_every: seconds between checkpoints, at least twenty times the time to write one.  A
-        process that is killed loses at most the results since the last one.  0: after every piece.
+    resume: continue the run in `out` if there is one, perhaps with a larger budget.
+    checkpoint_every: seconds between checkpoints, at least twenty times the time to write one.
     command: command line to record.
     keep: what to record in addition to the losses; see `Keep`.
-    target: picture to be found, (H, W, 3), which all runs of a comparison have; None: that of the
-        task, which is kept in `out`.
+    target: picture to be found, (H, W, 3), which all runs of a comparison have; None: the task's.
 
     Raises OptionError, ImageError, RunDirectoryError, CheckpointError and other ValueErrors;
     OSError if `out` cannot be written; ImportError if the task needs a package that is not there;
@@ -256,10 +251,7 @@ def kept_of(task: Task, target: Float32) -> KeptTarget:
 
 
 def target_of(task: Task, file: Path | None = None) -> Float32:
-    """The target of a task: the one that is kept in the file, if the task still has it.
-
-    A target from the same source is not rendered again, since noise may be in it.  Any other is
-    made again, and must agree with the kept one but for rounding.
+    """The target of a task: the one kept in the file, if it is from the same source or equal to it.
 
     Raises RenderError if the renderer fails; CheckpointError if the file is damaged.
     """

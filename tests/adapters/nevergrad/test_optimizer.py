@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import nevergrad as ng
 import numpy as np
 import pytest
 
@@ -13,7 +12,7 @@ from fide_adapters.nevergrad import ImageLoss
 from fide_plugins.errors import ImageError
 from fide_plugins.fide import FIDE
 
-from .conftest import TARGET, box, fide, mse, objective, render
+from .conftest import TARGET, fide, mse, objective, render
 
 RESULTS: dict[str, Any] = {
     "ImageLoss": objective,
@@ -34,12 +33,6 @@ def test_point_23_results(kind: str) -> None:
     assert optimizer.num_objectives == 1
     assert optimizer.num_images == (30 if kind in ("ImageLoss", "image", "pair") else 0)
     assert best.loss == pytest.approx(mse(render(best.value)), rel=1e-6)
-
-
-def test_another_optimizer_takes_an_image_loss_for_its_loss() -> None:
-    optimizer = ng.optimizers.OnePlusOne(box(), budget=20)
-    best = optimizer.minimize(objective)
-    assert type(best.loss) is float and best.loss == mse(render(best.value))
 
 
 def test_point_23_late_and_unknown_points_count_as_in_fide() -> None:
@@ -184,11 +177,3 @@ def test_another_target_keeps_the_mask() -> None:
     np.testing.assert_array_equal(optimizer.fide.weights, mask)
     with pytest.raises(ImageError, match="size"):
         fide(mask=mask).target = np.zeros((8, 8, 3))
-
-
-def test_a_range_of_values_stays_with_another_target() -> None:
-    optimizer = fide(target=10 * TARGET - 3, value_range=(-3, 17))
-    np.testing.assert_allclose(optimizer.target, 10 * TARGET - 3, atol=1e-5)
-    optimizer.target = 8 * TARGET - 3
-    optimizer.tell(optimizer.ask(), 8 * TARGET - 3)
-    assert optimizer.recommend().loss < 1e-12

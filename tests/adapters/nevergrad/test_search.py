@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 import torch
 
-from fide_adapters.nevergrad import FIDE as REGISTERED, NoImagesWarning, ParametrizedFIDE
+from fide_adapters.nevergrad import FIDE as REGISTERED, NoImagesWarning
 from fide_plugins.errors import ProtocolError
 from fide_plugins.types import Float32, Float64
 
-from .conftest import TARGET, box, fide, mse, objective, render, told
+from .conftest import box, fide, render, told
 
 
 def test_without_a_target_it_says_so_once() -> None:
@@ -179,26 +179,3 @@ def test_point_22_with_running_futures(tmp_path: Path) -> None:
         copy.minimize(slow, executor=executor)
     assert copy.num_tell == copy.num_ask == 40
     np.testing.assert_allclose(copy.recommend().value, original.recommend().value)
-
-
-def test_a_dump_goes_on_with_the_settings_it_was_made_with(tmp_path: Path) -> None:
-    settings = ParametrizedFIDE(target=TARGET, loss="perceptual", popsize=7, seed=1)
-    original = settings(box(), budget=30)
-    told(original, 9)
-    original.dump(tmp_path / "dump")
-    copy = settings.load(tmp_path / "dump")
-    a, b = original.ask(), copy.ask()
-    image = render(np.full(6, 0.4))
-    original.tell(a, image)
-    copy.tell(b, image)
-    assert a.loss == b.loss != pytest.approx(mse(image))
-    assert copy._configured_optimizer == settings
-    with pytest.raises(AssertionError):
-        ng.optimizers.OnePlusOne.load(tmp_path / "dump")
-
-
-def test_dumping_changes_nothing(tmp_path: Path) -> None:
-    dumped, other = fide(budget=30), fide(budget=30)
-    dumped.register_callback("tell", ng.callbacks.OptimizerDump(tmp_path / "dump"))
-    one, two = dumped.minimize(objective), other.minimize(objective)
-    np.testing.assert_array_equal(one.value, two.value)

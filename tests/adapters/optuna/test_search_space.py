@@ -57,15 +57,6 @@ def test_point_11_every_point_is_a_choice_of_native_values(x: Any) -> None:
         assert same if type(value) is not float else value == pytest.approx(params[name], rel=1e-12)
 
 
-@pytest.mark.parametrize("name", ["step", "int", "int step", "switch"])
-def test_values_have_equal_shares(name: str) -> None:
-    space = Space({name: SPACE[name]})
-    values = [space.decode(np.array([x]))[name] for x in np.linspace(0.0005, 0.9995, 1000)]
-    _, counts = np.unique(np.array(values, float), return_counts=True)
-    assert counts.max() - counts.min() <= 2
-    assert len(counts) == {"step": 205, "int": 8, "int step": 3, "switch": 2}[name]
-
-
 FOREIGN: dict[str, tuple[dict[str, Any], dict[str, BaseDistribution]]] = {
     "absent": ({}, {}),
     "out of range": ({"x": 7.0}, {"x": FloatDistribution(0, 10)}),

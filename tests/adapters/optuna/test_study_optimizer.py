@@ -235,16 +235,6 @@ def test_workers_without_a_seed_share_one(bench: Bench) -> None:
     assert learned[0][2].get("altered", 0) == 0
 
 
-def test_workers_with_seeds_of_their_own_still_learn_from_each_other(bench: Bench) -> None:
-    studies = workers_of_one_study(bench, [0, 1])
-    for _ in range(40):
-        for study in studies:
-            bench.run(study, 1)
-    counts = optimizer_of(studies[0]).counts
-    assert counts["altered"] > 0 and counted(optimizer_of(studies[0])) == 80
-    assert studies[0].best_value < 5e-3
-
-
 def test_point_9_a_batch_told_in_reverse(bench: Bench) -> None:
     """Sixty trials asked at once, and told from the last to the first."""
     study = optuna.create_study(sampler=bench.sampler(search_space=bench.space))

@@ -103,17 +103,6 @@ def test_global_random_state_is_neither_read_nor_changed(subject: Subject) -> No
     np.testing.assert_array_equal(run(1), run(2))
 
 
-@pytest.mark.thorough
-def test_seeds(subject: Subject) -> None:
-    several = [subject.make(3, seed=s) for s in (0, 1, None, None)]
-    runs = [np.concatenate(subject.minimize(opt, 25)).tobytes() for opt in several]
-    assert len(set(runs)) == 4
-    assert (
-        np.concatenate(subject.minimize(subject.make(3, seed=several[2].seed), 25)).tobytes()
-        == runs[2]
-    )
-
-
 class Bright:
     """A task of the pictures of `conftest`, which Ctrl-C can stop at a render."""
 
@@ -193,19 +182,6 @@ def test_no_thread_outlives_its_baseline(subject: Subject) -> None:
     assert not own & set(threading.enumerate())
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("workers", [1, 3])
-def test_candidates_told_in_single_precision(subject: Subject, workers: int) -> None:
-    exact, single = subject.make(3, seed=4), subject.make(3, seed=4)
-    while exact.evaluations < subject.evaluations:
-        X = exact.ask(None if workers == 1 else workers)
-        np.testing.assert_array_equal(single.ask(len(X)), X)
-        images, losses = subject.render(X), sphere(X)
-        exact.tell(X, images, losses)
-        single.tell(X.astype(np.float32), images, losses)
-    np.testing.assert_array_equal(exact.ask(), single.ask())
-
-
 def test_bad_input_is_refused_before_anything_changes(subject: Subject) -> None:
     opt = subject.make(2, seed=0)
     X = opt.ask()
@@ -257,13 +233,6 @@ def test_bad_input_is_refused_before_anything_changes(subject: Subject) -> None:
 def test_options_out_of_range_are_named(subject: Subject, options: dict[str, Any]) -> None:
     with pytest.raises(OptionError, match=next(iter(options))):
         subject.make(**{"dim": 2, **options})
-
-
-@pytest.mark.filterwarnings("ignore:popsize=12 has no effect")
-def test_a_population_may_be_set_for_all_of_a_comparison(subject: Subject) -> None:
-    opt = optimizers.make(subject.name, 2, picture(2), popsize=12, seed=0)
-    expected = {1, 11} if subject.name == "zerograds" else {1, 12}
-    assert opt.popsize in expected and opt.ask().shape[1:] == (2,)
 
 
 def test_those_that_look_at_images_need_a_target(subjects: list[Subject]) -> None:

@@ -17,7 +17,7 @@ import optuna
 import pytest
 from scipy.optimize import dual_annealing
 
-from fide_lab import optimizers, run as harness
+from fide_lab import optimizers
 from fide_lab.baselines.base import Baseline
 from fide_lab.baselines.image_based import FIDEAnnealing, Visits
 from fide_lab.baselines.libraries import DFOLS, DualAnnealing, ReverseCommunication
@@ -184,16 +184,6 @@ def test_another_search_begins_where_scipy_returns() -> None:
         ours.tell(X, losses=rastrigin(X))
     assert ours.starts == 1 and ours.evaluations == result.nfev
     assert 0 < ours.ask()[0, 0] < 1 and ours.starts == 2
-
-
-def test_asked_for_more_it_gives_the_same_point_whose_other_results_are_not_used() -> None:
-    one, several = DualAnnealing(2, seed=0), DualAnnealing(2, seed=0)
-    for _ in range(30):
-        X, Y = one.ask(), several.ask(3)
-        np.testing.assert_array_equal(Y, np.repeat(X, 3, axis=0))
-        one.tell(X, losses=rastrigin(X))
-        several.tell(Y, losses=rastrigin(Y) + np.array([0.0, 5.0, 7.0]))
-    assert several.evaluations == 3 * one.evaluations
 
 
 def test_a_population_has_no_effect_and_one_warning() -> None:
@@ -416,13 +406,6 @@ def test_without_a_framework_it_is_named(family: str, monkeypatch: pytest.Monkey
         monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(DependencyError, match=f"pip install {family} .*extra {family}"):
         optimizers.make(f"{family}:Unheard", 2)
-
-
-def test_a_run_tells_its_budget_to_those_that_plan() -> None:
-    run = harness.prepare("voronoi", "nevergrad:NGOpt", budget=123, size=16)
-    assert run.optimizer._library.budget == 123  # type: ignore[attr-defined]
-    run = harness.prepare("voronoi", "nevergrad:NGOpt", budget=123, size=16, options={"budget": 9})
-    assert run.optimizer._library.budget == 9  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("step", ["ask", "tell", "provide_recommendation"])

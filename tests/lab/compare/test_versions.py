@@ -186,17 +186,6 @@ def test_an_unfinished_run_of_fide_with_another_loss_begins_again(
     assert kinds(plan("fide", losses=("mine",)), resume=True) == ["done"]
 
 
-def test_a_run_that_another_process_executes_is_not_said_to_be_continued() -> None:
-    from fide_plugins.runtime import files
-
-    failing = plan("mine.py:Search:fails=true")
-    compare.run(failing, "out")
-    key = next(failing.runs())
-    assert prepare(failing, "out", resume=True).states[key].kind == "started"
-    with files.locked(Path("out") / key.folder / ".lock"):
-        assert prepare(failing, "out", resume=True).states[key].kind == "busy"
-
-
 SETTINGS: dict[str, Any] = {"size": 16, "task_options": {"cells": 2}, "out": "out"}
 
 
