@@ -68,20 +68,10 @@ class Robot(Task):
         super().__init__(size, seed, picture=target)
         self.samples = whole_number("samples", samples, minimum=0)
         self._model: Any = import_mujoco().MjModel.from_xml_path(str(_MODEL))
-        self._joints = [self._model.joint(f"joint{i + 1}").id for i in range(panda.JOINTS)]
-        self._places = self._model.jnt_qposadr[self._joints]
+        joints = [self._model.joint(f"joint{i + 1}").id for i in range(panda.JOINTS)]
+        self._places = self._model.jnt_qposadr[joints]
         self._stage: Stage | None = None
         self._lock = threading.Lock()
-
-    def link_poses(self, x: ArrayLike) -> Vector:
-        """Poses T, (7, 4, 4), of the seven links for one candidate x, (dim,), by MuJoCo."""
-        data = import_mujoco().MjData(self._model)
-        self._pose(data, self._one(x))
-        links = self._model.jnt_bodyid[self._joints]
-        poses = np.tile(np.eye(4), (len(links), 1, 1))
-        poses[:, :3, :3] = data.xmat[links].reshape(-1, 3, 3)
-        poses[:, :3, 3] = data.xpos[links]
-        return poses
 
     def check(self) -> None:
         """Draw a frame of the built-in arm in another process, since an OpenGL driver may crash.

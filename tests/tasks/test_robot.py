@@ -26,10 +26,18 @@ def random_x(n: int, seed: int = 0) -> NDArray[np.float64]:
 
 
 def test_links_are_where_the_product_of_denavit_and_hartenberg_puts_them(task: Robot) -> None:
+    import mujoco
+
+    model: Any = task._model
+    data: Any = mujoco.MjData(model)
+    links = [model.body(f"link{i + 1}").id for i in range(7)]
     low, width = task._range
     for x in [*random_x(100), np.zeros(7), np.ones(7)]:
+        task._pose(data, low + x * width)
         expected = panda.frames(low + x * width)[:7]
-        np.testing.assert_allclose(task.link_poses(x), expected, rtol=0, atol=1e-9)
+        turns = data.xmat[links].reshape(-1, 3, 3)
+        np.testing.assert_allclose(turns, expected[:, :3, :3], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(data.xpos[links], expected[:, :3, 3], rtol=0, atol=1e-9)
 
 
 def test_every_joint_can_be_seen(task: Robot) -> None:
