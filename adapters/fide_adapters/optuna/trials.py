@@ -19,6 +19,7 @@ processes all trials again.  Nothing is rendered for that.
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
@@ -204,8 +205,11 @@ def loss_of(study: Study, trial: FrozenTrial, warn: WarnOnce) -> float | None:
     violation = 0.0
     for value in stored:  # <= 0 where nothing is violated
         if isinstance(value, Real) and not isinstance(value, bool):
-            above = _WORST_VIOLATION if value != value else min(value, _WORST_VIOLATION)
-            violation += float(max(above, 0.0))
+            try:
+                above = float(value)
+            except OverflowError:  # a whole number beyond all floats
+                above = _WORST_VIOLATION if value > 0 else 0.0
+            violation += max(min(above, _WORST_VIOLATION), 0.0) if above == above else math.inf
         else:
             warn(
                 CONSTRAINTS, f"a constraint of trial {trial.number} is not a number, and is ignored"

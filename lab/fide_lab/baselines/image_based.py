@@ -52,8 +52,8 @@ class PosteriorSampler:
         self.proposer = DiffusionProposer(
             dim,
             seed=int(for_proposer.generate_state(1)[0]),
-            objective=_whitened_loss,
-            precondition=_whiten_box,
+            objective=WhitenedLoss(),
+            precondition=partial(whitened, mean=0.5, std=BOX_STD),
             **options,
         )
         self._mean, self._std = np.full(dim, 0.5), np.full(dim, BOX_STD)
@@ -112,24 +112,42 @@ class PosteriorSampler:
         return (tokens - mean) / spread
 
 
-def _whitened_loss(denoise: Denoise, x: Tensor, std: Tensor, generator: torch.Generator) -> Tensor:
-    """Karras et al. 2022, Table 1: ln t ~ N(0, 1.5^2), one time and noise for each example."""
-    t = (1.5 * standard_normal((len(x), 1), x, generator)).exp()
-    s = t * std  # (B, d)
-    eps = standard_normal(x.shape, x, generator)  # ~ N(0, I)
-    error = (denoise(x + s * eps, s) - x) / s
-    return ((1 + t * t) * error.square()).mean()
+class WhitenedLoss:
+    """Objective for `whitened` and data with standard deviation `std`.
+
+    Karras et al. 2022, Table 1: ln t ~ N(log_mean, log_std^2).  With the weight
+    (1 + t^2) / (t std)^2, a network with output zero has loss 1 at every noise level.
+    """
+
+    def __init__(self, log_mean: float = 0.0, log_std: float = 1.5) -> None:
+        self.log_mean, self.log_std = log_mean, log_std
+
+    def __call__(
+        self, denoise: Denoise, x: Tensor, std: Tensor, generator: torch.Generator
+    ) -> Tensor:
+        """One draw of time and noise for each example."""
+        normal = standard_normal((len(x), 1), x, generator)
+        t = (self.log_mean + self.log_std * normal).exp()
+        s = t * std  # (B, d)
+        eps = standard_normal(x.shape, x, generator)  # ~ N(0, I)
+        error = (denoise(x + s * eps, s) - x) / s
+        return ((1 + t * t) * error.square()).mean()
 
 
-def _whiten_box(network: Network) -> Denoise:
-    """Denoiser of data uniform in the box: the network's input and output have variance 1."""
+def whitened(network: Network, mean: Tensor | float, std: Tensor | float) -> Denoise:
+    """Denoiser of data with this `mean` and `std`, [d] or one number for all.
+
+    With u = (z - mean) / std and r = s / std, the estimate is
+    u / (1 + r^2) + r / sqrt(1 + r^2) * network(u / sqrt(1 + r^2), r); the network's input and
+    its ideal output have variance 1 at every noise level.
+    """
 
     def denoise(z: Tensor, s: Tensor) -> Tensor:
-        r = s / BOX_STD  # [B, d]
+        r = s / std  # [B, d]
         variance = 1 + r * r
-        u = (z - 0.5) / BOX_STD
+        u = (z - mean) / std
         remainder = network(u / variance.sqrt(), r)
-        return 0.5 + BOX_STD * (u / variance + r / variance.sqrt() * remainder)
+        return mean + std * (u / variance + r / variance.sqrt() * remainder)
 
     return denoise
 
