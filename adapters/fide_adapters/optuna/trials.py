@@ -25,6 +25,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import islice, takewhile
 from numbers import Real
+from typing import Any
 
 from optuna.study import Study, StudyDirection
 from optuna.trial import FrozenTrial, TrialState
@@ -203,6 +204,7 @@ def loss_of(study: Study, trial: FrozenTrial, warn: WarnOnce) -> float | None:
     stored = list(legacy) if isinstance(legacy, list | tuple) else [legacy]
     stored += [value for key, value in attributes.items() if key.startswith(prefix)]
     violation = 0.0
+    value: Any
     for value in stored:  # <= 0 where nothing is violated
         if isinstance(value, Real) and not isinstance(value, bool):
             try:

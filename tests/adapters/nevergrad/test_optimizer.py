@@ -127,30 +127,6 @@ def test_point_23_failures_rank_last_and_teach_nothing(loss: float) -> None:
         assert np.isfinite(optimizer.ask().value).all()
 
 
-@pytest.mark.filterwarnings("ignore::nevergrad.common.errors.NevergradWarning")
-@pytest.mark.parametrize("told", [lambda loss: loss, lambda loss: [loss], np.array])
-@pytest.mark.parametrize("loss", [math.nan, math.inf, -math.inf])
-def test_a_failure_is_not_recommended(loss: float, told: Any) -> None:
-    """Nevergrad keeps the same best candidate as the search, also among those told twice."""
-    optimizer, calls = fide(budget=40), 0
-
-    def fails(x: Any) -> Any:
-        nonlocal calls
-        calls += 1
-        return (told(loss), render(x)) if calls in (1, 20) else objective(x)
-
-    seen: list[float] = []
-    optimizer.register_callback("tell", lambda _, c, loss: seen.append(loss))
-    best = optimizer.minimize(fails)
-    assert best.loss == min(seen) == pytest.approx(optimizer.fide.best.loss)
-    np.testing.assert_allclose(best.value, optimizer.fide.best.x, atol=1e-9)
-    assert seen[0] == seen[19] == max(seen) == 5e20  # as Nevergrad has failures
-    assert optimizer.optim_curve[0] == (0, 5e20)
-    for name in ("optimistic", "pessimistic", "average", "minimum"):
-        assert optimizer.current_bests[name].parameter is best
-    assert optimizer.num_objectives == 1 and optimizer.fide.not_finite == 2
-
-
 def test_point_23_an_objective_that_fails_can_be_mended() -> None:
     """Nevergrad raises it; after that the search goes on, without that candidate."""
     optimizer, broken = fide(budget=20), [True]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import pickle
 import random
 import threading
@@ -34,25 +33,6 @@ def test_without_a_target_it_says_so_once() -> None:
 
 def never(x: Any) -> bool:
     return False
-
-
-@pytest.mark.filterwarnings("ignore:Clipping very high value", "ignore:Could not bypass")
-@pytest.mark.parametrize("how", ["failed", "violation", "constraint"])
-def test_invalid_candidates_have_no_image_and_are_no_reason_to_warn(how: str) -> None:
-    """The first ones, more than a generation, are all invalid; each valid one has its image."""
-    optimizer = fide(budget=200)
-    if how == "constraint":
-        optimizer.parametrization.register_cheap_constraint(never)
-    for _ in range(12):
-        candidate = optimizer.ask()
-        violation = [1.0] if how == "violation" else None
-        optimizer.tell(candidate, math.inf if how == "failed" else 1.0, violation)
-    if how == "constraint":
-        return
-    for _ in range(10):
-        candidate = optimizer.ask()
-        optimizer.tell(candidate, render(candidate.value))
-    assert optimizer.num_images == 10
 
 
 def run(seed: int, parametrization: Any) -> list[Float64]:

@@ -81,21 +81,6 @@ def test_a_choice_of_nan_is_any_nan() -> None:
         assert space.decode(space.encode(trial.params))["x"] in (mine.choices[0], "b")
 
 
-@pytest.mark.parametrize(
-    "narrow",
-    [
-        IntDistribution(1_700_000_000_000_000_000, 1_700_000_000_000_000_100),
-        IntDistribution(1_700_000_000_000_000_050, 1_700_000_000_000_000_150),
-        FloatDistribution(1e300, float(np.nextafter(1e300, np.inf)), log=True),
-    ],
-)
-def test_ranges_whose_ends_doubles_cannot_tell_apart(narrow: BaseDistribution) -> None:
-    space = Space({"x": narrow, "y": FloatDistribution(0, 1)})
-    x = space.encode({"x": narrow.low, "y": 0.25})  # type: ignore[attr-defined]
-    assert np.isfinite(x).all() and space.decode(x)["y"] == 0.25
-    assert narrow.low <= space.decode(x)["x"] <= narrow.high  # type: ignore[attr-defined]
-
-
 def test_a_range_that_is_too_long_is_refused() -> None:
     endless = {"a": SPACE["int"], "b": FloatDistribution(-1.7e308, 1.7e308)}
     with pytest.raises(SpaceError, match="parameter 'b'.*high - low must be finite; take a narrow"):

@@ -152,14 +152,6 @@ def test_options_that_tell_an_optimizer_from_nobody_are_left_out_and_said() -> N
     assert "| dibo " in tables.markdown(tables.ranking(panel))
 
 
-def test_few_seeds_are_said_to_be_few() -> None:
-    runs = [result(n, s, v + s) for n, v in (("a", 0.1), ("b", 0.2)) for s in range(5)]
-    (panel,) = panels(results(runs), {})
-    said = sentences.summary(panel)
-    assert "With 5 pairs no difference can be significant: p cannot be below 0.062; use" in said
-    assert "†" not in tables.markdown(tables.ranking(panel))
-
-
 def test_one_run_of_one_optimizer_is_a_report_too(tmp_path: Path) -> None:
     plan = Plan(("spline",), (Configuration.parse("random"),), seeds=1, budget=12, size=16)
     compare.run(plan, tmp_path / "a")

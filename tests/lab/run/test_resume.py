@@ -19,7 +19,6 @@ from fide_plugins.errors import (
     OptionError,
     RenderError,
 )
-from fide_plugins.fide import FIDE
 from fide_plugins.recording.storage import RunDirectoryError
 
 from .tint import TARGET, NoisyTint, Tint, raise_interrupt, same
@@ -55,24 +54,6 @@ def test_a_run_is_resumed_only_where_the_same_renderer_and_target_are(tmp_path: 
         setattr(other, name, value)
         with pytest.raises(RunDirectoryError, match=message):
             harness.run(other, **settings, task_options=calm, resume=True)
-
-
-@pytest.mark.parametrize("options", [{"device": "cpu"}, {}])
-def test_a_run_is_resumed_on_its_device(
-    options: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Which its checkpoint does not name: it fits any."""
-    settings: dict[str, Any] = {"budget": 5, "out": tmp_path, "options": options}
-    harness.run(Tint(), "fide", **settings)
-    asked, load = [], FIDE.load
-
-    def noted(path: Any, *, device: str = "auto") -> FIDE:
-        asked.append(device)
-        return load(path, device=device)
-
-    monkeypatch.setattr(FIDE, "load", noted)
-    harness.run(Tint(), "fide", **settings, resume=True)
-    assert asked == [options.get("device", "auto")]
 
 
 @pytest.mark.parametrize(
