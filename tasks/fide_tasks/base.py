@@ -154,10 +154,6 @@ class Task(ABC):
 
         return space_of(self.parameters, self.alike)
 
-    def advice(self, loss: str) -> str | None:
-        """Say why another loss, or other options, would do better than this one; None for none."""
-        return None
-
     def check(self) -> None:
         """Render one frame to check that the task works on this machine; raises its error."""
         self.render(np.full((1, self.dim), 0.5))

@@ -33,14 +33,6 @@ def task() -> Task:
     return make()
 
 
-def test_advice_is_for_settings_that_mislead() -> None:
-    few, enough = make(spp=4), make(spp=64)
-    for loss in ("mse", "loi", "perceptual"):
-        assert "--spp 16" in str(few.advice(loss))
-    assert "--loss perceptual and --spp 64" in str(enough.advice("mse"))
-    assert enough.advice("perceptual") is None and few.advice("mine") is None
-
-
 def random_x(n: int, seed: int = 0) -> Array:
     return np.random.default_rng(seed).random((n, 18))
 

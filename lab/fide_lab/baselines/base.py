@@ -317,9 +317,8 @@ class Baseline(Saved):
             raise ValueError(
                 f"a history of {told} results, {injected} of them injected, lacks some"
             )
-        points, losses, features = (
-            iter(part) for part in (state["injected"], state["losses"].tolist(), seen)
-        )
+        points, losses = iter(state["injected"]), iter(state["losses"].tolist())
+        features = iter(seen)
         pending: dict[int, Float64] = {}
         for event in events:
             if event < _INJECTED:

@@ -276,6 +276,7 @@ class _Worker:
     """One process, which is replaced where it dies."""
 
     def __init__(self) -> None:
+        self._pid = 0
         self.restart()
 
     def submit(self, work: Callable[[Any], Any], item: Any) -> Future[Any]:

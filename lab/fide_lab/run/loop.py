@@ -92,11 +92,6 @@ class Run:
             self._foreign = Foreign(self._info, target, settings["loss"], optimizer)
 
     @property
-    def advice(self) -> str | None:
-        """What the task advises for this loss; None for nothing."""
-        return None if self._info.advice is None else self._info.advice(self.loss.name)
-
-    @property
     def out(self) -> Path | None:
         """Run directory, if there is one."""
         return None if self._directory is None else self._directory.path

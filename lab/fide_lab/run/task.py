@@ -53,7 +53,6 @@ class TaskInfo:
     renderer: name of what renders here, if images depend on it.
     search_space: named parameters, for an optimizer that handles integers and choices as such.
     piece: most candidates to render before their results are told; None: the loop's own number.
-    advice: function of the name of a loss that gives a sentence or None.
     error: function of a point (dim,), how wrong it is, see `run.foreign`; light: "none", "exposure"
         or "shading", what of the light differs in the target.
     """
@@ -65,7 +64,6 @@ class TaskInfo:
     renderer: str | None = None
     search_space: Space | None = None
     piece: int | None = None
-    advice: Callable[[str], str | None] | None = None
     error: Callable[[Float64], float] | None = None
     light: str = "none"
 
