@@ -25,7 +25,6 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import islice, takewhile
 from numbers import Real
-from typing import Any
 
 from optuna.study import Study, StudyDirection
 from optuna.trial import FrozenTrial, TrialState
@@ -204,13 +203,12 @@ def loss_of(study: Study, trial: FrozenTrial, warn: WarnOnce) -> float | None:
     stored = list(legacy) if isinstance(legacy, list | tuple) else [legacy]
     stored += [value for key, value in attributes.items() if key.startswith(prefix)]
     violation = 0.0
-    value: Any
     for value in stored:  # <= 0 where nothing is violated
         if isinstance(value, Real) and not isinstance(value, bool):
             try:
                 above = float(value)
             except OverflowError:  # a whole number beyond all floats
-                above = _WORST_VIOLATION if value > 0 else 0.0
+                above = 0.0 if str(value).startswith("-") else _WORST_VIOLATION
             violation += max(min(above, _WORST_VIOLATION), 0.0) if above == above else math.inf
         else:
             warn(
