@@ -19,7 +19,7 @@ from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.evaluation import Evaluation, Evaluator
 from fide_plugins.options import Options, flat, make_options
 from fide_plugins.population import CandidateRole, Population
-from fide_plugins.population.candidate import TrainingSample, columns, in_order
+from fide_plugins.population.candidate import Memory, TrainingSample, columns, in_order
 from fide_plugins.proposers import channel_subsets, make_proposer, make_steps
 from fide_plugins.proposers.image_gate import ImageGate
 from fide_plugins.runtime.machine import timed
@@ -28,7 +28,6 @@ from fide_plugins.runtime.schema import array, check, maybe
 from fide_plugins.runtime.threads import Lock, one_at_a_time, one_thread
 from fide_plugins.saving import Saved
 from fide_plugins.search.cma_es import default_popsize
-from fide_plugins.search.memory import Memory
 from fide_plugins.search.moves import Stage
 from fide_plugins.search.one_search import Search, Setting
 from fide_plugins.search.policy import MovePolicy
@@ -254,7 +253,6 @@ class FIDE(Saved):
         with timed(self.times, "search"):
             steps = np.empty((0, self.dim))
             if n is not None:
-                population.expect(n)
                 steps = self._make_steps(n)
             elif not population.remaining:
                 self.draw_generation()
@@ -279,7 +277,6 @@ class FIDE(Saved):
         population = self.state.population
         if not population.remaining:
             self.draw_generation()
-        population.expect(n)
         if n > population.queued:
             self._train_early()
         self._make_next(n)  # which may fail, before anything is handed out
