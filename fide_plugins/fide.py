@@ -7,7 +7,7 @@ generations and moves after a search (`State.finish_search`) are beyond Algorith
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -17,7 +17,7 @@ from fide_plugins import encoders
 from fide_plugins.comparison.scale_space import ScaleSpace
 from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.evaluation import Evaluation, Evaluator
-from fide_plugins.options import Options, flat, make_options
+from fide_plugins.options import Options, make_options
 from fide_plugins.population import CandidateRole, Population
 from fide_plugins.population.candidate import Memory, TrainingSample, columns, in_order
 from fide_plugins.proposers import channel_subsets, make_proposer, make_steps
@@ -737,7 +737,8 @@ class FIDE(Saved):
     @property
     def features_shape(self) -> tuple[int, int]:
         """(T, C) of the features of an image, see `tell`."""
-        return self.evaluator.features_shape
+        tokens, channels = self.target_tokens.shape
+        return tokens, channels
 
     # -- where searches begin, and the next picture ------------------------------------------------
 
@@ -848,7 +849,7 @@ class FIDE(Saved):
         given |= {"target": self.views.targets, "x0": self.guess}
         space = None if self.space is None else self.space.to_dict()
         own = {"popsize": self.popsize, "space": space, "constraints": self.has_own_constraints}
-        return given | flat(self.options) | own
+        return given | asdict(self.options) | own
 
     @classmethod
     def arguments(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -904,7 +905,7 @@ class FIDE(Saved):
         """Raise ValueError unless all settings are there, and can be those of an optimizer."""
         super().check_settings(settings)
         own = {"target", "popsize", "space", "constraints"}
-        expected = {*_ARGUMENTS, *own, *flat(Options())}
+        expected = {*_ARGUMENTS, *own, *asdict(Options())}
         odd = sorted(set(settings) ^ expected)
         if odd:
             raise ValueError(f"settings lack or have too much: {', '.join(map(repr, odd))}")

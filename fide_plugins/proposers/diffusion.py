@@ -26,7 +26,7 @@ from fide_plugins.denoiser.training import (
     load_adam_state,
 )
 from fide_plugins.errors import OptionError
-from fide_plugins.options import NetworkOptions
+from fide_plugins.options import Options
 from fide_plugins.proposers.base import Proposer
 from fide_plugins.runtime.devices import BatchSize, resolve_device
 from fide_plugins.runtime.messages import warn_user
@@ -45,7 +45,7 @@ from fide_plugins.runtime.threads import user_threads
 from fide_plugins.types import Float64
 from fide_plugins.validation.options import check_schedule
 
-_DEFAULTS = NetworkOptions()
+_DEFAULTS = Options()
 MOST_PROPOSALS = 4096  # that are denoised together
 
 
