@@ -152,16 +152,13 @@ class FIDE(Saved):
         self.options = o = make_options(preset, {**named, **options})
         self.x0 = starting_point(x0, self.dim, self.space)
         self.guess = None if x0 is None else self.x0
-        self.sigma0 = standard_deviations(sigma0, self.dim)
-        self.seed = new_seed(seed)
+        self.sigma0, self.seed = standard_deviations(sigma0, self.dim), new_seed(seed)
         self.popsize = o.popsize or default_popsize(self.dim)
         self.validity: Validity | None = None
         if constraints is not None or (self.space is not None and self.space.constraints):
             from fide_plugins.search.validity import validity_of
 
-            self.validity = validity_of(self.space, constraints, self.seed)
-            if self.validity is not None and self.guess is not None:
-                self.validity.check_guess(self.guess)
+            self.validity = validity_of(self.space, constraints, self.seed, self.guess)
         self.has_own_constraints = constraints is not None
         self.evaluator = Evaluator(
             target,
@@ -174,12 +171,9 @@ class FIDE(Saved):
             for_network=o.has_network,
             **o.comparison,
         )
-        self.same_images = SameImages(self.popsize)
-        self._lock = Lock()
-        self._model: Model | None = None  # of the renderer, for the next picture, too; never saved
-        posterior = None
-        if learned is not None:
-            self._model, posterior = self._model_of(learned, self.views.targets)
+        self.same_images, self._lock = SameImages(self.popsize), Lock()
+        model, posterior = self._model_of(learned, self.views.targets)
+        self._model = model  # of the renderer, for the next picture, too; never saved
         self.state = self._initial_state(posterior)
 
     # -- line 1: mu and Sigma; line 2: the denoiser ------------------------------------------------
@@ -744,6 +738,8 @@ class FIDE(Saved):
 
     def _model_of(self, learned: Any, target: Any) -> tuple[Model | None, Posterior | None]:
         """A learned model, or that of a file, and what it says of a target."""
+        if learned is None:
+            return None, None
         from fide_plugins.learning.hypotheses import as_model, posterior_of
 
         model = as_model(learned)
@@ -807,10 +803,8 @@ class FIDE(Saved):
         CheckpointError for a file that is no model, before anything changes.
         """
         evaluator = self.evaluator.retargeted(picture, loss)
-        learned, posterior = self._model if learned is None else learned, None
-        model: Model | None = None
-        if learned is not None:
-            model, posterior = self._model_of(learned, evaluator.views.targets)
+        learned = self._model if learned is None else learned
+        model, posterior = self._model_of(learned, evaluator.views.targets)
         state = self.state
         with timed(self.times, "search"):
             recalled = state.recall(evaluator.target_tokens, self.guess, self.popsize)
