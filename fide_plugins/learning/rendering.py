@@ -101,7 +101,7 @@ def fill(
     missing = store.missing(renders)
     stop = np.inf if seconds is None else time.monotonic() + seconds
     failed: dict[int, int] = {}  # of each shard
-    why, equal, first = "", True, None
+    why, equal, first = "", True, np.empty(0, np.uint8)
     pool = pool_for(renderer, store.size, workers)
     try:
         for shard, images in _rendered(store, renderer.name, missing, stop, pool):
@@ -109,7 +109,7 @@ def fill(
             there: list[Pixels] = [one for one in images if not isinstance(one, Failed)]
             failed[shard] = SHARD - len(there)
             why = why or next((one.reason for one in images if isinstance(one, Failed)), "")
-            first = there[0] if first is None and there else first
+            first = there[0] if there and not first.size else first
             equal = equal and all(np.array_equal(image, first) for image in there)
             tried, lost = SHARD * len(failed), sum(failed.values())
             if tried >= _FEW and (equal or 2 * lost > tried):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -255,7 +255,7 @@ class Training:
         self._optimizer.load_state_dict(whole)
 
 
-def _ahead(batches: Iterator[_T]) -> Iterator[_T]:
+def _ahead(batches: Iterator[_T]) -> Generator[_T, None, None]:
     """As they come, but made in a thread, while those before are learned from."""
     with ThreadPoolExecutor(1) as thread:
         waiting = [thread.submit(next, batches, None) for _ in range(_AHEAD)]
