@@ -216,7 +216,6 @@ class Baseline(Saved):
         """The next n candidates by index; None: those that remain of a generation."""
         population = self._population
         n = n or population.remaining or self.popsize
-        population.expect(n)
         handed_out: dict[int, Float64] = {}
         while len(handed_out) < n:
             if not population.remaining:
