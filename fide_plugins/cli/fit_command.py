@@ -228,7 +228,6 @@ def _execute(args: argparse.Namespace, command: list[str]) -> int:
 def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Path, Renders]:
     """Everything checked, with one render; the run directory; and what renders further points."""
     from fide_plugins.cli.fit_inputs import Renders, pictures, value_range_of
-    from fide_plugins.fitting.fidelity import Fidelity
     from fide_plugins.fitting.one_call import prepare
     from fide_plugins.fitting.stopping import Stopping
     from fide_plugins.fitting.workers import default_number
@@ -250,8 +249,8 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
     workers = default_number() if args.workers is None else args.workers
     out = free_directory(args, Path(args.targets[0]).stem)
 
-    fidelity = None if args.samples is None else Fidelity((32, 2**16), (1, args.samples))
-    renders = Renders(render, workers, timeout, fidelity)
+    renders = Renders(render, workers, timeout, args.samples)
+    share = 1.0 if share is None else positive_fraction("max_failures", share)
 
     def check(optimizer: FIDE) -> None:
         if read_run(out) is None:
@@ -272,8 +271,8 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
         callbacks=[LiveFile()] if args.live else [],  # `fide watch` reads checkpoints
         progress=True if sys.stderr.isatty() else lines("fide fit"),
         check=check,
-        fidelity=fidelity,
-        max_failures=1.0 if share is None else positive_fraction("max_failures", share),
+        fidelity=renders.fidelity,
+        max_failures=share,
     )
     return fitting, out, renders
 

@@ -137,7 +137,7 @@ _PLACES = 24  # random ones that are rendered if the first one fails
 class Renders:
     """Renders points outside of the loop, as a fit renders them.
 
-    render, workers, timeout, fidelity: as for `fit`; images are the finest.
+    render, workers, timeout: as for `fit`.  samples: most of a pixel; images are the finest.
     """
 
     def __init__(
@@ -145,14 +145,15 @@ class Renders:
         render: Callable[..., object],
         workers: int,
         timeout: float | str | None,
-        fidelity: Fidelity | None = None,
+        samples: int | None = None,
     ) -> None:
-        self._render, self._workers, self._fidelity = render, workers, fidelity
+        self._render, self._workers = render, workers
+        self.fidelity = None if samples is None else Fidelity((32, 2**16), (1, samples))
         self._limit = None if timeout is None else seconds_of("timeout", timeout)
 
     def __call__(self, optimizer: FIDE, X: Float64) -> list[Outcome]:
         """Outcomes of points (n, dim); the start of a worker is no time of its render."""
-        schedule = schedule_for(self._render, self._fidelity, optimizer)
+        schedule = schedule_for(self._render, self.fidelity, optimizer)
         keywords = {} if schedule is None else schedule.finest()
         raw = optimizer.value_range is not None
         renderer = Renderer(self._render, optimizer.space, raw, keywords)
