@@ -61,10 +61,7 @@ Weights = tuple[Any, Any]  # weights of samples along both axes
 
 @dataclass(frozen=True)
 class _Level:
-    """Weights of samples and of local means along both axes, in the order of the arrays.
-
-    The finest level averages pixels, the others average the samples of the finest level.
-    """
+    """Weights of samples and of local means along both axes, in the order of the arrays."""
 
     samples: Weights
     local: Weights
@@ -72,12 +69,7 @@ class _Level:
 
 @dataclass(frozen=True)
 class _Structure:
-    """Features of one image at one scale; k = 2 for picture and grain, 1 for the picture only.
-
-    colors: [a, k, 3, b] opponent colors of a x b samples
-    gradient: [a, k, 6, b] their differences along both axes
-    energy: [a, 1, b] squared length of the picture's gradient
-    """
+    """Features of one image at one scale; k = 2 for picture and grain, 1 for the picture only."""
 
     colors: Float32
     gradient: Float32

@@ -188,10 +188,7 @@ def _mkl_of_torch() -> list[_Pool]:
 
 
 def _openblas(library: Any) -> list[_Pool]:
-    """OpenBLAS, by its own functions: through threadpoolctl, only one thread could set them.
-
-    With OpenMP's threads it follows OpenMP.  OpenCV's copy is left alone: FIDE has no use for it.
-    """
+    """OpenBLAS, by its own functions: through threadpoolctl, only one thread could set them."""
     if library.threading_layer == "openmp" or "opencv" in library.filepath:
         return []
     for before, after in _AFFIXES:

@@ -20,8 +20,6 @@ is not.
 
 from __future__ import annotations
 
-from fide_plugins.views.given import is_list_of_images
-from fide_plugins.views.view import View
-from fide_plugins.views.views import Views
+from fide_plugins.views.views import View, Views, is_list_of_images
 
 __all__ = ["View", "Views", "is_list_of_images"]

@@ -173,10 +173,7 @@ def _without_copies(difference: Float64) -> Float64:
 def _stands_out(
     difference: Float64, sides: Sequence[int], variances: Float64, limit: float
 ) -> bool:
-    """Whether the mean of any square of pixels is farther from 0 than chance explains.
-
-    variances: of a pixel, what (H, W, C) can be compared with.  limit: in standard deviations.
-    """
+    """Whether the mean of any square of pixels is farther from 0 than chance explains."""
     for side in sides:
         means = uniform_filter(difference, (side, side, 1), mode="constant")
         if (np.square(means) * side**2 > limit**2 * variances).any():

@@ -21,8 +21,7 @@ from fide_plugins.runtime.registry import name_of
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.pixels import warn_clipped
-from fide_plugins.views.view import View
-from fide_plugins.views.views import Views
+from fide_plugins.views.views import View, Views
 
 __all__ = ["CallableOfViews", "LossOfViews", "loss_of"]
 

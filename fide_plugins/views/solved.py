@@ -15,8 +15,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from fide_plugins.types import Float32
-from fide_plugins.views.view import DIGITS, View
-from fide_plugins.views.views import Views
+from fide_plugins.views.views import DIGITS, View, Views
 
 __all__ = ["is_solved"]
 

@@ -188,7 +188,7 @@ def test_what_cannot_be_run_again_says_so(name: str, message: str, tmp_path: Pat
         ("mine.py:Narrow", "tell of mine.py:Narrow must be tell(X, losses) or"),
         ("mine.py:number", "is int, not a class with ask and tell; its classes: Least, Images"),
         ("mine.py:Leest", "did you mean 'Least'?"),
-        ("mine.py", "mine.py is a file, not a class; its classes: Least"),
+        ("mine.py", "no optimizer 'mine.py'.*; it has .*Least"),
         ("nowhere.py:Search", "no file 'nowhere.py'; write FILE.py:NAME or module:NAME"),
         ("nevergard:CMA", "no module 'nevergard'; write FILE.py:NAME"),
         ("mine.py:empty", "mine.py:empty has no method ask"),
