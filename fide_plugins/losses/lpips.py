@@ -1,14 +1,10 @@
-"""The `lpips` loss: learned perceptual image patch similarity, version 0.1.
+"""The `lpips` loss: learned perceptual image patch similarity 0.1, of AlexNet (Zhang et al. 2018).
 
-Zhang et al. 2018, "The unreasonable effectiveness of deep features as a perceptual metric",
-equation 1: with y_l the activations of layer l of a network that classifies images, normalized to
-unit length in the direction of the channels, and w_l >= 0 learned from people's judgments,
+With y_l the activations of layer l, of unit length over the channels, and learned w_l >= 0,
 
     loss = sum_l  mean over places of  sum_c w_lc (y_lc - y'_lc)^2.
 
-The loss needs two files of weights: that of the network, which torchvision publishes, and that of
-the w_l, which is part of the package `lpips`.  Only that file of the package is used, so it can be
-installed without its dependencies: ``pip install --no-deps lpips``.
+The w_l are part of the package `lpips`, of which nothing is imported.
 """
 
 from __future__ import annotations

@@ -127,7 +127,7 @@ def _arrays(data: memoryview, table: list[list[Any]]) -> list[np.ndarray[Any, An
         end = position + math.prod(shape) * np.dtype(name).itemsize
         if end > len(data):
             raise ValueError(f"an array of shape {shape!r} is larger than the file")
-        flat = np.frombuffer(bytearray(data[position:end]), name) if end > position else []
+        flat: Any = np.frombuffer(bytearray(data[position:end]), name) if end > position else []
         arrays.append(np.asarray(flat, name).reshape(shape))
         position = end
     if position != len(data):

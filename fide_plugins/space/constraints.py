@@ -188,7 +188,8 @@ class _Walk:
                 return self._computed(_FUNCTIONS[name], args)
         value = self._given(node)
         if _is_number(value):
-            return float(value) if abs(value) < _MOST else math.copysign(math.inf, value)
+            infinite = math.inf if value > 0 else -math.inf
+            return float(value) if abs(value) < _MOST else infinite
         if isinstance(value, Mapping | list):
             raise _WrongError("a group has no value of its own; name a parameter in it")
         return value if isinstance(value, bool | str) else repr(value)

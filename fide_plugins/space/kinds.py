@@ -1,19 +1,8 @@
 """What one parameter is: a number, a whole number, or one of several values.
 
-Every kind maps its values to numbers, and `layout` maps numbers to the cube:
-
-=======================  ======  ==================================================================
-kind                     axes    number of a value, and its place in the cube
-=======================  ======  ==================================================================
-Float                    1       the value; linear, or its logarithm
-Int, Float with a step   1       the value; n values are n equal cells of the axis (with log: equal
-                                 in the value, of an axis from log(low - 1/2) to log(high + 1/2))
-Choice of n >= 3         n       index of the value; the axis with the largest coordinate decides
-Choice of 2              1       0 or 1; two equal cells
-Choice of 1              0       a constant
-=======================  ======  ==================================================================
-
-A choice has one axis a value because its values have no order.
+Every kind maps its values to numbers, and `layout` maps numbers to the cube.  n whole numbers or
+steps are n equal cells of an axis (with log: equal in the value).  A choice of n > 2 values has n
+axes, of which the largest coordinate decides, since its values have no order; one of two has one.
 """
 
 from __future__ import annotations

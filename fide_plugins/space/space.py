@@ -1,13 +1,8 @@
 """A space of named parameters: dictionaries of physical values <-> points of the unit cube.
 
-As plain data, for JSON and TOML:
-
-    {"azimuth": {"type": "float", "low": -60.0, "high": 60.0, "unit": "deg", "periodic": true},
-     "floor": {"type": "choice", "values": ["checker", "wood"]},
-     "beads": {"repeat": 6, "x": {"type": "float", "low": 0.0, "high": 1.0}}}
-
-What has a key besides tables and "repeat" is a parameter, all else is a group.  Without a "type" it
-is a choice if it has "values", and else a float.  Keys that are as by default are left out.
+As plain data, for JSON and TOML: {"azimuth": {"type": "float", "low": -60.0, "high": 60.0},
+"beads": {"repeat": 6, "x": {...}}}.  What has a key besides tables and "repeat" is a parameter, all
+else is a group.  Without a "type" it is a choice if it has "values", and else a float.
 """
 
 from __future__ import annotations

@@ -33,13 +33,16 @@ def read_pixels(path: str | os.PathLike[str], max_side: int | None, *, raw: bool
     max_side: pixels of the longer side, at most.  raw: numbers as they are stored; otherwise those
     of 16 bits are divided by 65535.  Raises ImageError, ImageNotFoundError.
     """
-    name, ending = os.fspath(path), Path(path).suffix.lower()
+    name, frames = os.fspath(path), 1
     try:
         check_regular(path)
-        pixels = (_by_opencv if ending == ".hdr" else _by_pillow)(path, raw)
+        if name.lower().endswith(".hdr"):
+            pixels = _by_opencv(path, raw)
+        else:
+            pixels, frames = _by_pillow(path, raw)
     except FileNotFoundError as e:
         raise ImageNotFoundError(f"no image file at {name!r}") from e
-    except (FideError, Warning):
+    except FideError:
         raise
     except RefusedFileError as e:
         raise ImageError(f"{e} with an image") from e
@@ -48,10 +51,14 @@ def read_pixels(path: str | os.PathLike[str], max_side: int | None, *, raw: bool
             f"cannot read {name!r} as an image: {e}; is it whole, and is it an image? PNG, JPEG, "
             "TIFF, PPM and HDR can be read"
         ) from e
+    if frames > 1:
+        file = os.path.basename(name)
+        warn_user(f"{file} has {frames} frames or pages, of which the first one is taken")
     return shrunk(pixels, None, max_side, raw=raw)[0]
 
 
-def _by_pillow(path: str | os.PathLike[str], raw: bool) -> Pixels:
+def _by_pillow(path: str | os.PathLike[str], raw: bool) -> tuple[Pixels, int]:
+    """Pixels of a file, and its number of frames."""
     from PIL import Image, UnidentifiedImageError  # takes a while
 
     try:
@@ -59,7 +66,7 @@ def _by_pillow(path: str | os.PathLike[str], raw: bool) -> Pixels:
     except UnidentifiedImageError:
         if Path(path).suffix.lower() not in _TIFF:
             raise
-        return _by_opencv(path, raw)
+        return _by_opencv(path, raw), 1
     with opened as image:
         frames = 1 if image.format in _LAYERED else getattr(image, "n_frames", 1)
         if image.mode in ("RGB", "RGBA") and any(
@@ -70,10 +77,7 @@ def _by_pillow(path: str | os.PathLike[str], raw: bool) -> Pixels:
             pixels = _upright(_by_opencv(path, raw), image.getexif().get(_ORIENTATION, 1))
         else:
             pixels = from_pil(image, repr(os.fspath(path)), raw=raw)
-    if frames > 1:
-        name = os.path.basename(os.fspath(path))
-        warn_user(f"{name} has {frames} frames or pages, of which the first one is taken")
-    return pixels
+    return pixels, frames
 
 
 def _upright(pixels: Pixels, orientation: int) -> Pixels:
