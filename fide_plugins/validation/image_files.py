@@ -69,9 +69,10 @@ def _by_pillow(path: str | os.PathLike[str], raw: bool) -> tuple[Pixels, int]:
         return _by_opencv(path, raw), 1
     with opened as image:
         frames = 1 if image.format in _LAYERED else getattr(image, "n_frames", 1)
+        tiles: Any = image.tile
         if image.mode in ("RGB", "RGBA") and any(
             ";16" in str(tile[3]) or (tile[0] == "ppm" and tile[3][1:] == (65535,))
-            for tile in image.tile
+            for tile in tiles
         ):
             _check_size(*image.size, repr(os.fspath(path)))
             pixels = _upright(_by_opencv(path, raw), image.getexif().get(_ORIENTATION, 1))
@@ -133,7 +134,8 @@ def from_pil(image: Any, what: str, *, raw: bool = False) -> Pixels:
     """Array of a PIL image, turned upright; raises ImageError.  raw: see `read_pixels`."""
     from PIL import ImageOps
 
-    _check_size(*image.size, what)
+    width, height = image.size
+    _check_size(width, height, what)
     form, image = image.format, ImageOps.exif_transpose(image)
     if image.mode.startswith("I"):
         values = np.asarray(image)

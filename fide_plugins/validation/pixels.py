@@ -204,6 +204,10 @@ class Clip:
         sums = {name: getattr(self, name) + getattr(other, name) for name in counts}
         return replace(self, low=min(self.low, other.low), high=max(self.high, other.high), **sums)
 
+    def of_view(self, view: int) -> Clip:
+        """The same, saying of which view."""
+        return replace(self, message=f"view {view}: {self.message}")
+
 
 OnClip: TypeAlias = Callable[[Clip], object]
 """What is called, once a batch, where values were clipped; it may raise ValueRangeError."""
@@ -329,7 +333,7 @@ def channels_last(pixels: Any, batch: int, may_be_first: bool, size: Size | None
     if size is not None and size != (height, width):
         raise ImageError(
             f"{what} must have the target's size, {size[0]} x {size[1]} (H x W), got "
-            f"{height} x {width}: {describe(pixels)}; render at that size, or resize the target"
+            f"{height} x {width}: {describe(pixels)}; give it that size"
         )
     return pixels
 

@@ -287,9 +287,9 @@ class Views:
         for i, (pixels, one, other) in enumerate(zip(pictures, masks, others, strict=True)):
             of = f" of view {i}" if listed else ""
             size = pixels.shape[0], pixels.shape[1]
-            both = [read_weights(one, pixels, size, f"mask{of}")]
-            both += [read_weights(other, pixels, size, f"weights{of}")]
-            given.append(joined(*both, f"mask times weights{of}"))
+            first = read_weights(one, pixels, size, f"mask{of}")
+            second = read_weights(other, pixels, size, f"weights{of}")
+            given.append(joined(first, second, f"mask times weights{of}"))
         hidden = [_hidden_by(one) for one in given]
         if values == AUTO:
             values = range_of(zip(map(np.atleast_3d, pictures), hidden, strict=True))
