@@ -60,6 +60,7 @@ class Result:
         where it has one rule only.
     out: run directory; None without.
     cost: of all renders, in full ones, by pixels times samples; see `Fidelity`.
+    plan: three lines on how a fit with a `time` was to spend it; none without, and when resumed.
     std_renders: renders around the answer at the end, beside the evaluations, from which
         `best.std` is computed; 0: it is rough, from samples of the search, or was read.
     value_range: values of target and images that are black and white; None: 0 and 1.
@@ -88,6 +89,7 @@ class Result:
     out: Path | None
     cost: float
     std_renders: int = 0
+    plan: Sequence[str] = ()
     clipped: int = 0
     value_range: tuple[float, float] | None = None
     unsaved: Unsaved | None = None

@@ -127,8 +127,9 @@ class SavedRun:
         record: Record,
         optimizer: FIDE,
         solutions: Sequence[Solution],
+        plan: Sequence[str] = (),
     ) -> None:
-        """Write totals and the summary; stopped, solutions: see `Result`."""
+        """Write totals and the summary; stopped, solutions, plan: see `Result`."""
         result = result_of(
             self._directory.settings,
             record,
@@ -140,6 +141,7 @@ class SavedRun:
             "failures": record.failures,
             "clipped": optimizer.clipped,
             "cost": record.cost,
+            **({"plan": list(plan)} if plan else {}),
             "solutions": solutions_as_data(solutions),
         }
         writes = [
