@@ -58,7 +58,7 @@ def is_list_of_images(value: object) -> bool:
 
 
 def _opened(target: object, raw: bool = False) -> list[Pixels]:
-    """Arrays (H, W) or (H, W, C) of a picture or a list of them, with the values they have."""
+    """Arrays (H, W, C) of a picture or a list of them, with the values they have."""
     if not is_list_of_images(target):
         return [as_pixels(target, "the target", raw)]
     assert isinstance(target, list | tuple)
@@ -290,7 +290,7 @@ class Views:
             given.append(joined(first, second, f"mask times weights{of}"))
         hidden = [_hidden_by(one) for one in given]
         if values == AUTO:
-            values = range_of(zip(map(np.atleast_3d, pictures), hidden, strict=True))
+            values = range_of(zip(pictures, hidden, strict=True))
         assert not isinstance(values, str)
         views = []
         for i, pixels in enumerate(pictures):
