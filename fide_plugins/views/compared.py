@@ -54,10 +54,11 @@ def loss_of(
                 f"the loss {loss.name!r} was made for one target, and there are "
                 f"{len(views.views)} views; pass its name, or a function of a list of batches"
             )
-        made, view = losses.resolve(loss, views.target), views.views[0]
-        if made.spec is not None:  # as a checkpoint makes it again
-            made = _of_view(made.spec, view, device)
-        return LossOfViews(views, [made], made.spec)
+        made = losses.resolve(loss, views.target)
+        spec = made.spec
+        if spec is not None:  # as a checkpoint makes it again
+            made = _of_view(spec, views.views[0], device)
+        return LossOfViews(views, [made], spec)
     if not callable(loss):
         return losses.resolve(loss, views.target)  # raises
     several = CallableOfViews(views, loss)
