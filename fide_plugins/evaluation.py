@@ -58,15 +58,6 @@ class Evaluation:
         return zip(points[first:], *each, strict=True)
 
 
-def _made(encoder: str | Callable[..., object], device: str, for_network: bool) -> PatchEncoder:
-    if isinstance(encoder, PatchEncoder):
-        return encoder
-    if isinstance(encoder, str):
-        for_network = for_network or encoders.uses_network(encoder)
-        return encoders.make(encoder, device=resolve_device(device, for_network=for_network))
-    return OwnEncoder(encoder, device=resolve_device(device, for_network=for_network))
-
-
 class Evaluator:
     """Loss and encoder for one target.
 
@@ -78,6 +69,10 @@ class Evaluator:
         `fide_plugins.encoders`.  A callable is tried on the target first.
     device: of both where they are given by name; "auto" takes CUDA where there is some, for an
         encoder only if it is a network, or if `for_network`.
+    photometric, robust, background, photo: see `options.Options`.
+
+    adapts_light: whether the images say which light is set aside.
+    comparison: how renders are compared that did not make the target; None: as they are.
 
     Raises ImageError, OptionError, UnknownNameError, DeviceError, or what the encoder raises.
     """
@@ -100,14 +95,23 @@ class Evaluator:
     ) -> None:
         self._device = device
         self.views = Views.read(target, mask, weights, value_range)
+        self.full = self.views
+        """Those of the target itself, also where renders are smaller, see `at_size`."""
+        self.size: tuple[int, int] | None = None
+        """(h, w) of renders that are smaller than the target; None: they are not."""
+        self._small: Views | None = None
         self.target = self.views.target  # (H, W, 3), packed if there are several views
         self.loss = loss_of(self.views, loss, device=device)
-        self.encoder = encoder_of(self.views, _made(encoder, device, for_network))
+        if isinstance(encoder, str):
+            for_network = for_network or encoders.uses_network(encoder)
+            where = resolve_device(device, for_network=for_network)
+            encoder = encoders.make(encoder, device=where)
+        elif not isinstance(encoder, PatchEncoder):
+            encoder = OwnEncoder(encoder, device=resolve_device(device, for_network=for_network))
+        self.encoder = encoder_of(self.views, encoder)
         self._how: dict[str, Any] = {}
         self.adapts_light = photometric == "auto" or (photo and photometric is None)
-        """Whether the images say which light is set aside."""
         self.comparison: Comparison | None = None
-        """How renders are compared with a target that the renderer did not draw; None: as is."""
         if photo or not (photometric is None and robust is None and background is None):
             self._how = {
                 "light": "none" if photometric in (None, "auto") else photometric,
@@ -189,9 +193,28 @@ class Evaluator:
                 f"the loss {self.loss.name!r} was given as an object, which may be for the old "
                 "target only; give the one for the new target: retarget(picture, loss=...)"
             )
+        return self._with(views, loss or self.loss_name)
+
+    def at_size(self, size: tuple[int, int] | None) -> Evaluator:
+        """The same for renders of (h, w) pixels, of a named loss; None: of the target's size.
+
+        The target is reduced to that size.  Both are enlarged, so that all else keeps its shape.
+        """
+        small, views = None, self.full
+        if size is not None:
+            from fide_plugins.views.sizes import reduced, seen_at
+
+            small = reduced(views, size)
+            views = seen_at(views, small)
+        other = self._with(views, self.loss_name)
+        other.full, other.size, other._small = self.full, size, small
+        return other
+
+    def _with(self, views: Views, loss: str | Callable[..., object] | None) -> Evaluator:
         other = self._copy()
         other.views, other.target = views, views.target
-        other.loss = loss_of(views, loss or self.loss_name, device=self._device)
+        other.full, other.size, other._small = views, None, None
+        other.loss = loss_of(views, loss, device=self._device)
         other.encoder = encoder_of(views, self.encoder)
         if self.comparison is not None:
             other.comparison = other._compared_by(**self.comparison.options)
@@ -203,12 +226,6 @@ class Evaluator:
     def loss_name(self) -> str | None:
         """Name by which the loss can be made again; None for a user's own."""
         return self.loss.spec
-
-    @property
-    def features_shape(self) -> tuple[int, int]:
-        """(T, C) of the features of an image."""
-        tokens, channels = self.target_tokens.shape
-        return tokens, channels
 
     @property
     def versions(self) -> dict[str, str | None]:
@@ -243,9 +260,24 @@ class Evaluator:
             raise FeaturesError("tell takes images or their features, not both")
         if images is None:
             return None
-        if self.comparison is not None and self.comparison.background:
+        if self.comparison is None or not self.comparison.background:
+            return self.colors(images, n, on_clip)
+        if self._small is None:
             return with_coverage(self.views, images, n, on_clip)
-        return self.views.as_batch(without_coverage(images, self.views.listed), n, on_clip)
+        return self._enlarged(with_coverage(self._small, images, n, on_clip))
+
+    def colors(self, images: object, n: int, on_clip: OnClip) -> Float32:
+        """The same without coverage; raises ImageError."""
+        plain = without_coverage(images, self.views.listed)
+        if self._small is None:
+            return self.views.as_batch(plain, n, on_clip)
+        return self._enlarged(self._small.as_batch(plain, n, on_clip))
+
+    def _enlarged(self, batch: Float32) -> Float32:
+        from fide_plugins.views.sizes import enlarged
+
+        assert self._small is not None
+        return enlarged(self._small, self.views, batch)
 
     def evaluate(
         self,
@@ -279,7 +311,7 @@ class Evaluator:
         if encode and shown is not None:
             tokens = self.encoder.compute(shown)
         if features is not None:
-            shape = (n, *self.features_shape)
+            shape = (n, *self.target_tokens.shape)
             taken = as_features(features, shape, self.encoder, version=version)
             tokens = taken if encode else None
         assert values is not None

@@ -49,7 +49,8 @@ def std_around(
     """Standard deviations (dim,) of the best candidate, None if unknown; number of renders.
 
     most: renders, at least 1 + 4 p.  deadline: of `time.perf_counter`, when rendering stops.
-    NaN, too, where no side of the answer can be rendered.
+    NaN, too, where no side of the answer can be rendered.  Unknown, too, for a photograph whose
+    renders have edges that jump on most axes: slopes of jumps are too steep.
     """
     axes = numbers(optimizer)
     around = _Around(optimizer, workers, timeout, most, deadline)
@@ -58,6 +59,8 @@ def std_around(
             return None, around.renders
         seen = around.look({int(axis): around.either_side(axis, _STEP) for axis in axes})
         _look_closer(around, seen)
+        if optimizer.options.photo and 2 * sum(one.least > 0 for one in seen.values()) > len(seen):
+            return None, around.renders
     except _OverError:
         return None, around.renders
     _look_farther(around, seen)

@@ -79,30 +79,6 @@ def test_all_of_it_survives_an_interruption(tmp_path: Path) -> None:
     assert without_seconds[0] == without_seconds[1]
 
 
-def test_watching_takes_none_of_the_run_s_time() -> None:
-    import time
-
-    class Slow:
-        name = "slow"
-
-        def compute(self, batch: Any) -> Any:
-            time.sleep(0.05)
-            return np.zeros(len(batch))
-
-    run = harness.prepare(Tint(), "random", budget=40, keep=Keep())
-    run._metrics = {"slow": Slow()}  # type: ignore[dict-item]
-    start = time.perf_counter()
-    result = run.execute()
-    assert result.watch_s >= 0.05
-    assert result.wall_s + result.watch_s <= time.perf_counter() - start
-
-
-def test_generations_are_what_was_asked_at_once() -> None:
-    result = harness.run(Tint(), "cma", budget=100, options={"popsize": 40})
-    assert result.generations.tolist() == [40, 40, 20]
-    assert result.details()["rounds"] == 5 + 5 + 3
-
-
 def test_rounds() -> None:
     assert rounds([]).tolist() == []
     assert rounds([1] * 5, workers=8).tolist() == [1, 2, 3, 4, 5]
