@@ -13,7 +13,7 @@ from typing import Any
 
 from fide_plugins.cli.terminal import plain
 from fide_plugins.runtime import laboratory, machine
-from fide_plugins.runtime.machine import EXTRAS, install_command, opencv_collision
+from fide_plugins.runtime.machine import EXTRAS, install_command
 from fide_plugins.runtime.messages import counted
 
 
@@ -50,8 +50,6 @@ def _summary() -> str:
     ]
     if missing:
         lines.append(f"missing: {install_command(*missing)}")
-    if collision := opencv_collision():
-        lines.append(f"OpenCV: {collision}")
     for kind in KINDS:
         lines.append(f"{kind}: {_usable(kind) if kind in WITH_WEIGHTS else ', '.join(names(kind))}")
     lines.append("fide doctor --verbose tries each of them, and says what is missing for it")
@@ -77,9 +75,9 @@ def examine() -> dict[str, Any]:
     """Versions, machine, and for each name None or the reason why it cannot be used."""
     import torch  # noqa: F401  `machine` reports devices only if it is imported
 
+    opencv = None
     try:
         import_module("fide_plugins.runtime.opencv")
-        opencv = opencv_collision()
     except ImportError as error:
         opencv = plain(error)
     return {
@@ -127,7 +125,6 @@ def _text(facts: dict[str, Any]) -> str:
 
 KINDS = ("tasks", "optimizers", "encoders", "losses")
 WITH_WEIGHTS = ("encoders", "losses")  # kinds that may need weights; to try them takes seconds
-_VARIANTS = {"losses": ("lpips:vgg",)}  # variants with their own weights
 _SIDE = 32  # pixels, side of the test images
 
 
@@ -146,10 +143,10 @@ def problems(kind: str) -> dict[str, str | None]:
     """For each name of a kind: None if it can be used here, otherwise the reason why not.
 
     Each task renders a frame, each encoder and each loss processes an image, each optimizer
-    proposes candidates.  Variants with their own weights are tried too.  Nothing is downloaded.
+    proposes candidates.  Nothing is downloaded.
     """
     results: dict[str, str | None] = {}
-    for name in sorted({*names(kind), *_VARIANTS.get(kind, ())}):
+    for name in names(kind):
         try:
             _try(kind, name)
             results[name] = None

@@ -76,7 +76,7 @@ def pictures(
 
 def _each(name: str, given: list[str] | None, targets: list[Any]) -> list[Any]:
     """Mask or weights of each target, None for none; raises OptionError."""
-    from fide_plugins.views.given import one_a_view
+    from fide_plugins.views.views import one_a_view
 
     try:
         several = given is None or len(given) > 1
@@ -97,7 +97,7 @@ def _view(path: str, target: Any, mask: Any, weights: Any, side: int | None, raw
     """
     from fide_plugins.validation.image_files import read_pixels, shrunk
     from fide_plugins.validation.images import alpha_of
-    from fide_plugins.views.given import ALPHA, joined, read_weights
+    from fide_plugins.views.views import ALPHA, joined, read_weights
 
     given = {"mask": mask, "weights": weights}
     size, product, counting = target.shape[:2], None, []

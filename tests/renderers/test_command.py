@@ -265,25 +265,6 @@ def test_the_time_of_a_render_is_that_of_all_views_together(
     assert given[6:] == [None, None]
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("timeout", [60, None])
-def test_output_without_end_does_not_fill_the_disk(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, timeout: float | None
-) -> None:
-    monkeypatch.setattr(child, "_LONGEST", 10**5, raising=False)
-    monkeypatch.setattr(child, "_LOOK", 0.01, raising=False)
-    prints = (
-        "import time\n"
-        "for number in range(20):\n"
-        "    print(9999 * 'much of it, ', number, flush=True)\n"
-        "    time.sleep(0.1)\n"
-    )
-    log = tmp_path / "log"
-    ended = child.run([sys.executable, "-I", "-S", "-c", prints], log, timeout)
-    assert ended.code == 0 and ended.tail.endswith("much of it,  19")
-    assert log.stat().st_size < 10**6  # of 2.4 million bytes
-
-
 def test_a_worker_that_leads_a_group_stops_what_hangs_and_goes_on(
     ends: Callable[[int], bool],
 ) -> None:
