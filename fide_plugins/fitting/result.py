@@ -211,7 +211,11 @@ _MOST = 40  # parameters
 def result_page(result: Result, panels: Sequence[Panel]) -> str:
     """HTML of a result: its status, pictures, losses, and parameters in their units."""
     failed = f", {result.failures:,} renders failed" if result.failures else ""
-    facts = f"{result.evaluations:,} renders in {result.seconds:.1f} s, stopped: {result.stopped}"
+    coarse = (
+        "" if result.cost == result.evaluations else f", as dear as {result.cost:,.0f} full ones,"
+    )
+    facts = f"{result.evaluations:,} renders{coarse} in {result.seconds:.1f} s"
+    facts += f", stopped: {result.stopped}"
     pictures = "".join(map(_picture, panels))
     with suppress(DependencyError):  # without matplotlib, which is an extra
         from fide_plugins.recording.plots import curve_figure

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
+from functools import cached_property
 from typing import Any
 
 from fide_plugins.errors import OptionError, RenderError
-from fide_plugins.renderers.keywords import keywords_of
+from fide_plugins.renderers.keywords import keywords_of, missing_from
 from fide_plugins.renderers.naming import described
 from fide_plugins.runtime.registry import Referent, module_fingerprint, shown_traceback, version_of
 from fide_plugins.space import Space
@@ -48,6 +49,7 @@ class FunctionRenderer:
 
     def __call__(self, params: Any, **keywords: Any) -> Any:
         """Image of the parameters; keywords: how fine, of those that the function takes."""
+        keywords = {**missing_from(self.keywords), **keywords}
         try:
             return self._function(params, **keywords)
         except (Exception, SystemExit) as error:  # scripts end by sys.exit
@@ -56,7 +58,7 @@ class FunctionRenderer:
                 f"with the parameters {described(params)}\n{shown_traceback(error, __file__)}"
             ) from None
 
-    @property
+    @cached_property
     def keywords(self) -> dict[str, Any]:
         """Of the function, see `renderers.keywords`."""
         return keywords_of(self._function)

@@ -306,3 +306,27 @@ def test_ctrl_c_stops_the_program_and_leaves_nothing(
     assert child.wait(60) != 0
     assert ends(int(Path("pid").read_text()))
     assert os.listdir(tmp_path / "tmp") == []
+
+
+def test_size_samples_and_seed_are_placeholders_unless_the_space_has_them(tmp_path: Path) -> None:
+    program = tmp_path / "draw.py"
+    program.write_text(
+        "import sys\n"
+        "out, gray, width, height, *more = sys.argv[1:]\n"
+        "w, h = int(width), int(height)\n"
+        "head, pixel = b'P6 %d %d 255\\n' % (w, h), bytes([int(float(gray))])\n"
+        "open(out, 'wb').write(head + pixel * (3 * w * h))\n"
+        "open(__file__ + '.log', 'a').write(' '.join([width, height, *more]) + '\\n')\n"
+    )
+    text = f"{sys.executable} -I -S {program} {{out}} {{gray}} {{width}} {{height}}"
+    text += " {samples} {seed}"
+    space = Space(gray=Float(0, 255), seed=Float(1, 2))
+    render = CommandRenderer(text, space)
+    assert sorted(render.keywords) == ["samples", "size"]
+    image = render({"gray": 51.0, "seed": 1.5}, size=(4, 6), samples=3)
+    assert np.shape(image) == (4, 6, 3) and np.allclose(image, 0.2)
+    target = np.full((64, 64, 3), 0.2)
+    fit(render, target, space, 6, workers=0, seed=0, until="budget")
+    lines = (tmp_path / "draw.py.log").read_text().splitlines()
+    assert lines[0] == "6 4 3 1.5"
+    assert lines[1].startswith("32 32 1 1.") and lines[-1].startswith("64 64 64 ")
