@@ -33,6 +33,7 @@ from fide_plugins.cli.terminal import (
     write_figure,
 )
 from fide_plugins.errors import OptionError
+from fide_plugins.runtime.messages import duration
 
 __all__ = ["add_arguments", "execute"]
 
@@ -84,8 +85,6 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
 
 def _tell(renders: int, seconds: float) -> None:
     if seconds > _WORTH_TELLING:
-        from fide_plugins.fitting.checking import duration
-
         note(f"fide check: {renders} more renders, about {duration(seconds)}")
 
 
