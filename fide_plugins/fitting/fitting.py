@@ -227,9 +227,6 @@ class Fitting:
         """Enter what was asked and not told in the record, so that it may be saved."""
         r = self.record
         r.pending, r.failures = self._loop.pending, self._failures.count
-        del r.generations[:]
-        if asked := r.evaluations + len(r.pending):
-            r.generations.append(asked)  # one generation that never waits
         self._loop.tick()
 
     # -- ending ------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from fide_plugins.fitting.callbacks import Callbacks, check_progress
 from fide_plugins.fitting.fitting import Fitting
 from fide_plugins.fitting.rendering import Renderer
 from fide_plugins.fitting.result import Result
-from fide_plugins.fitting.saved_run import SavedRun, features_of, seed_there, settings_of
+from fide_plugins.fitting.saved_run import SavedRun, seed_there, settings_of
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers import default_number, workers_for
 from fide_plugins.learning.hypotheses import with_model
@@ -233,14 +233,9 @@ def _plan(
 ) -> dict[str, Any]:
     name = own_name(render)
     settings = settings_of(name, optimizer, options)
-    facts: dict[str, Any] = {}
-    if callable(options.get("encoder")):  # others are known by name and version
-        facts["features"] = features_of(optimizer)
-    if isinstance(optimizer.target, list):
-        facts["views"] = [list(one.shape[:2]) for one in optimizer.target]
     sources = of_files({name: fingerprint_of(render)}) | of_models(options)
     sources |= of_weights(optimizer) | of_losses([optimizer.evaluator.loss])
-    return {"settings": settings, "limits": stopping.record(), "facts": facts, "sources": sources}
+    return {"settings": settings, "limits": stopping.record(), "sources": sources}
 
 
 def _check_render(render: object, named: bool) -> None:

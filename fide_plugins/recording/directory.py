@@ -8,7 +8,7 @@ import json
 import os
 import shlex
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from fnmatch import fnmatchcase
 from pathlib import Path
 from time import perf_counter
@@ -17,13 +17,12 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from fide_plugins.errors import CheckpointError, DependencyError
-from fide_plugins.recording.record import WORKERS, Record, RunResult, best_so_far, rounds
+from fide_plugins.recording.record import Record, RunResult, best_so_far
 from fide_plugins.recording.sources import versions_with
 from fide_plugins.recording.storage import (
     CHECKPOINT,
     FORMAT,
     TARGET_FILE,
-    KeptTarget,
     RunDirectoryError,
     check_settings,
     checksum,
@@ -31,9 +30,7 @@ from fide_plugins.recording.storage import (
     now,
     read_record,
     read_run,
-    remove_checkpoint,
     write_checkpoint,
-    write_target,
 )
 from fide_plugins.runtime import files, machine
 from fide_plugins.runtime.messages import warn_user
@@ -115,7 +112,6 @@ class RunDirectory:
     resume: whether an existing run may be continued.
     limits: when the run stops, where that is no setting.
     may_change: names of settings that may be others when the run is resumed.
-    facts: what else is known at the first call, recorded once.
     sources: fingerprints of the user's files, see `sources.of_files`; warns of one that is edited.
 
     Raises RunDirectoryError (a FileExistsError), also if there are results without a `run.json`,
@@ -131,7 +127,6 @@ class RunDirectory:
         command: Sequence[str] | None = None,
         limits: dict[str, Any] | None = None,
         may_change: Collection[str] = (),
-        facts: dict[str, Any] | None = None,
         sources: Mapping[str, str] | None = None,
     ) -> None:
         self.path = Path(path)
@@ -145,7 +140,6 @@ class RunDirectory:
                 "command": None if command is None else shlex.join(command),
                 "started": now(),
                 "resumed": [],
-                **({} if facts is None else {"facts": facts}),
             }
             before, begun = read_run(self.path), is_saved(self.path)
             if before is None:
@@ -169,12 +163,6 @@ class RunDirectory:
     def close(self) -> None:
         """Let other processes work on the run; nothing is to be written after this."""
         self._lock.close()
-
-    @property
-    def facts(self) -> dict[str, Any]:
-        """What was recorded at the first call."""
-        facts = self._run.get("facts")
-        return facts if isinstance(facts, dict) else {}
 
     # -- reading -----------------------------------------------------------------------------------
 
@@ -221,10 +209,8 @@ class RunDirectory:
 
     # -- writing -----------------------------------------------------------------------------------
 
-    def begin(self, kept: KeptTarget | None = None) -> None:
-        """Write the run down, after its target, which the record names; None: it is elsewhere."""
-        if kept is not None:
-            write_target(self.path / TARGET_FILE, kept)
+    def begin(self) -> None:
+        """Write the run down, before its first render."""
         (self.path / LIVE).unlink(missing_ok=True)
         self.write_run()
 
@@ -326,12 +312,6 @@ class RunDirectory:
             self._run["checksums"] = {name: checksum(self.path / name) for name in TABLES}
         files.write_text(self.path / "run.json", json.dumps(self._run, indent=2) + "\n")
 
-    def remove_checkpoint(self) -> None:
-        """Remove the state from which the run could continue."""
-        remove_checkpoint(self.path)
-        with suppress(OSError):
-            (self.path / TARGET_FILE).unlink()
-
 
 def _lock(path: Path) -> ExitStack:
     with ExitStack() as lock:
@@ -369,13 +349,10 @@ def curve_table(record: Record) -> str:
 
 def improvements_table(record: Record) -> str:
     """`improvements.csv`; what a metric that raised has not measured is empty."""
-    in_round = rounds(record.generations)
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")  # names of losses may need quoting
-    names = ["evaluation", "seconds", f"round_of_{WORKERS}", "loss", *record.metrics]
-    writer.writerow(names)
+    writer.writerow(["evaluation", "seconds", "loss", *record.metrics])
     for k, i in enumerate(record.improvements):
         others = (repr(v[k]) if k < len(v) else "" for v in record.metrics.values())
-        where = [i, f"{record.seconds[i]:.4f}", in_round[i]]
-        writer.writerow([*where, repr(record.losses[i]), *others])
+        writer.writerow([i, f"{record.seconds[i]:.4f}", repr(record.losses[i]), *others])
     return buffer.getvalue()

@@ -155,7 +155,7 @@ def test_a_killed_run_is_read_from_its_checkpoint(kept: Result, tmp_path: Path) 
         ("solutions", [{"x": [2.0] * 6}], RunDirectoryError),
         ("solutions", {"x": 3}, RunDirectoryError),
         ("sentence", [], RunDirectoryError),
-        ("facts", {"views": [[3, "a"]]}, RunDirectoryError),
+        ("settings", {"dim": 4, "size": [12, 12], "views": [[3, "a"]]}, RunDirectoryError),
     ],
 )
 def test_damaged_runs_are_refused_by_name(
@@ -165,7 +165,7 @@ def test_damaged_runs_are_refused_by_name(
     shutil.copytree(kept.out, tmp_path / "run")
     if "." not in name:
         run = json.loads((tmp_path / "run/run.json").read_text())
-        (run if name == "facts" else run["totals"])[name] = content
+        (run if name == "settings" else run["totals"])[name] = content
         name, content = "run.json", json.dumps(run)
     if content is None:
         (tmp_path / "run" / name).unlink()

@@ -21,6 +21,7 @@ from typing import Any
 
 from fide_lab.compare.one_run import State, examine, is_busy
 from fide_lab.compare.plan import TARGETS, Checked, Plan, RunKey, target_file
+from fide_lab.run.kept_target import write_target
 from fide_plugins.recording.figures import as_png
 from fide_plugins.recording.sources import edited, file_of, versions_there
 from fide_plugins.recording.storage import (
@@ -30,7 +31,6 @@ from fide_plugins.recording.storage import (
     now,
     read_json,
     read_run,
-    write_target,
 )
 from fide_plugins.runtime import files, machine
 from fide_plugins.runtime.messages import warn_user

@@ -16,6 +16,7 @@ from typing import Any, Literal
 
 from fide_lab.compare.plan import Plan, RunKey, target_file
 from fide_lab.run import Interrupted, Run, prepare
+from fide_lab.run.kept_target import read_target
 from fide_plugins.errors import CheckpointError
 from fide_plugins.recording.directory import TABLES, results_in
 from fide_plugins.recording.sources import edited, file_of, versions_there
@@ -24,7 +25,6 @@ from fide_plugins.recording.storage import (
     check_settings,
     checksum,
     read_run,
-    read_target,
 )
 from fide_plugins.runtime import files
 from fide_plugins.runtime.messages import said_once

@@ -17,7 +17,6 @@ from fide_lab.compare.directory import digest, read_record, runs_of, warn_of_mix
 from fide_lab.compare.one_run import ERROR, examine
 from fide_lab.compare.plan import Configuration, RunKey
 from fide_plugins.errors import FideError, UnknownNameError
-from fide_plugins.recording.record import WORKERS
 from fide_plugins.recording.storage import RunDirectoryError, read_run
 from fide_plugins.runtime.files import read_regular
 from fide_plugins.types import Float64
@@ -208,7 +207,6 @@ def _curve(folder: Path, run: dict[str, Any]) -> Curve:
     names, *rows = csv.reader(read_regular(folder / "improvements.csv").decode().splitlines())
     table = np.array(rows, np.float64).reshape(len(rows), len(names)).T
     columns = dict(zip(names, table, strict=True))
-    del columns[f"round_of_{WORKERS}"]
     totals = run["totals"]
     at = {
         "renders": columns.pop("evaluation") + 1,

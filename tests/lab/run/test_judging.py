@@ -70,8 +70,7 @@ def test_judging_takes_none_of_the_run_s_time() -> None:
 
     start = time.perf_counter()
     result = harness.run(Slow(), "cma", budget=30)
-    assert result.judge_s >= 0.4
-    assert result.wall_s + result.judge_s <= time.perf_counter() - start
+    assert result.wall_s + 0.4 <= time.perf_counter() - start
 
 
 def test_without_a_reference_the_render_of_the_run_is_judged(tmp_path: Path) -> None:
