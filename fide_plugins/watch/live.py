@@ -6,18 +6,20 @@ import json
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fide_plugins.fitting.pictures import best_compared, picture
 from fide_plugins.recording.directory import LIVE
-from fide_plugins.renderers.naming import flat
+from fide_plugins.recording.figures import as_png
+from fide_plugins.recording.parameters import rows
 from fide_plugins.runtime import files
 
 if TYPE_CHECKING:
     from fide_plugins.fitting.callbacks import Event, Run
 
-__all__ = ["LiveFile", "listed"]
+__all__ = ["LiveFile"]
 
 
 class LiveFile:
@@ -56,12 +58,13 @@ class LiveFile:
 
     def _state(self, event: Event, busy: int) -> dict[str, Any]:
         best = event.optimizer.best
+        table = [] if best is None else rows([replace(best, estimate=None)])  # which takes time
         return {
             "evaluations": event.evaluation + 1,
             "budget": self._budget,
             "seconds": event.seconds,
             "best_loss": event.best_loss,
-            "parameters": [] if best is None else listed(event.optimizer.space, best.x),
+            "parameters": [[row.name, row.values[0], row.unit] for row in table],
             "workers": self._workers,
             "busy": busy,
             "failures": event.failures,
@@ -74,21 +77,7 @@ class LiveFile:
         with suppress(OSError):
             best = best_compared(event.optimizer) if self._new_best else None
             if best is not None:
-                from fide_plugins.recording.figures import as_png
-
                 image = as_png(picture(event.optimizer, best))
                 files.write_bytes(self._out / "best.png", image)
                 self._new_best = False
             files.write_text(self._out / LIVE, json.dumps(self._state(event, busy)))
-
-
-def listed(space: Any, x: Any) -> list[list[str]]:
-    """Parameters of a point x (d,) as text: name, value, unit; without a space x itself."""
-    if space is None:
-        return [[f"x[{i}]", f"{value:.4f}", ""] for i, value in enumerate(x)]
-    values, rows = dict(flat(space.decode(x))), []
-    for name, kind in space.parameters.items():
-        value = values[name]
-        text = f"{value:.5g}" if isinstance(value, float) else str(value)
-        rows.append([name, text, getattr(kind, "unit", None) or ""])
-    return rows

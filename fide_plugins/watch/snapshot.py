@@ -8,24 +8,22 @@ import json
 import math
 import os
 import struct
-import threading
 import time
 from pathlib import Path
 from typing import Any
 
-from fide_plugins.recording.directory import LIVE
+from fide_plugins.recording.directory import LIVE, is_under_way
 from fide_plugins.renderers.naming import flat
 from fide_plugins.runtime.files import MOST_BYTES, read_regular
 from fide_plugins.validation.pixels import MAX_PIXELS
 
 __all__ = ["PICTURES", "RunFiles"]
 
-PICTURES = ("target.png", "best.png", "difference.png")
+PICTURES = ("target.png", "best.png")
 _PNG = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
 _SIZE = struct.Struct(">II")
 _MOST_OF_JSON = 2**24
 _MOST_POINTS = 1000
-_MOST_SHOWN = 2048  # pixels a side of the difference; larger pictures are reduced
 _QUIET = 30.0  # seconds without a new file before a run may be said to have stopped
 _WRITTEN = ("run.json", "run.ckpt", "curve.csv", LIVE)
 _KNOWN: dict[str, tuple[type, ...]] = {  # of live.json, what may have which type
@@ -36,22 +34,14 @@ _KNOWN: dict[str, tuple[type, ...]] = {  # of live.json, what may have which typ
 
 
 class RunFiles:
-    """Files of one run directory, by a fixed list of names.
-
-    Results are kept until the files change; they are computed one at a time, whoever asks.
-    """
+    """Files of one run directory, by a fixed list of names."""
 
     def __init__(self, directory: str | os.PathLike[str]) -> None:
         self.path = Path(directory)
-        self._kept: dict[str, tuple[Any, Any]] = {}
-        self._computing = threading.Lock()
+        self._known: tuple[Any, dict[str, Any]] = (None, {})  # the curve, and of which file
 
     def picture(self, name: str) -> bytes | None:
         """PNG of that name in `PICTURES`; None if there is none."""
-        if name == "difference.png":
-            marks = tuple(self._mark(one) for one in PICTURES[:2])
-            made: bytes | None = self._once(name, marks, self._difference)
-            return made
         data = self._read(name)
         return data if data is not None and _is_picture(data) else None
 
@@ -65,14 +55,14 @@ class RunFiles:
             "task": _text(settings.get("task", self.path.name)),
             "optimizer": _text(settings.get("optimizer", "")),
             "loss": _text(settings.get("loss", "loss")),
-            "pictures": {name: self._version(name) for name in PICTURES if self._version(name)},
+            "pictures": {name: str(mark[0]) for name in PICTURES if (mark := self._mark(name))},
         }
         totals = run.get("totals")
         under_way = shown["state"] == "running"  # then totals are those of an earlier call
         if isinstance(totals, dict) and not under_way:
             shown["sentence"] = _text(totals.get("sentence", ""))
         live = self._json(LIVE)
-        curve = self._once("curve.csv", self._mark("curve.csv"), self._curve) or {}
+        curve = self._curve()
         newest = max(curve, live, key=lambda one: _whole(one.get("evaluations")))
         shown |= _checked(curve) | _checked(live) | _checked(newest)
         points = curve.get("improvements", [])
@@ -92,13 +82,9 @@ class RunFiles:
 
     def _has_stopped(self) -> bool:
         """Whether the process of a run was killed: its lock is free, and nothing is written."""
-        from fide_plugins.recording.directory import is_under_way
-
         marks = (self._mark(name) for name in _WRITTEN)
         newest = max((mark[0] for mark in marks if mark), default=0) / 1e9
         return time.time() - newest > _QUIET and is_under_way(self.path) is False
-
-    # -- files -------------------------------------------------------------------------------------
 
     def _read(self, name: str, most: int = MOST_BYTES) -> bytes | None:
         try:
@@ -113,17 +99,6 @@ class RunFiles:
             return None
         return about.st_mtime_ns, about.st_size
 
-    def _version(self, name: str) -> str:
-        names = PICTURES[:2] if name == "difference.png" else (name,)
-        marks = [self._mark(one) for one in names]
-        return "" if None in marks else "-".join(str(mark[0]) for mark in marks if mark)
-
-    def _once(self, name: str, mark: Any, make: Any) -> Any:
-        with self._computing:
-            if name not in self._kept or self._kept[name][0] != mark:
-                self._kept[name] = (mark, make())
-            return self._kept[name][1]
-
     def _json(self, name: str) -> dict[str, Any]:
         try:
             found = json.loads(self._read(name, _MOST_OF_JSON) or b"{}")
@@ -131,43 +106,29 @@ class RunFiles:
             return {}
         return found if isinstance(found, dict) else {}
 
-    # -- what they say -----------------------------------------------------------------------------
-
-    def _difference(self) -> bytes | None:
-        """Absolute difference of target and best image, four times as strong, for a screen."""
-        from PIL import Image, ImageChops
-
-        data = (self.picture(name) or b"" for name in PICTURES[:2])
-        buffer = io.BytesIO()
-        try:
-            pair = [Image.open(io.BytesIO(each), formats=["PNG"]) for each in data]
-            if pair[0].size != pair[1].size or math.prod(pair[0].size) > MAX_PIXELS:
-                return None  # nothing is decoded yet
-            for image in pair:
-                image.thumbnail((_MOST_SHOWN, _MOST_SHOWN))
-            made = ImageChops.difference(*(image.convert("RGB") for image in pair))
-            made.point([min(4 * value, 255) for value in range(256)] * 3).save(buffer, "PNG")
-        except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
-            return None
-        return buffer.getvalue()
-
     def _curve(self) -> dict[str, Any]:
-        data = io.BytesIO(self._read("curve.csv") or b"")
-        lines = csv.DictReader(io.TextIOWrapper(data, "utf-8", "replace", newline=""))
-        improvements: list[list[float]] = []
-        number, seconds = 0, 0.0
-        try:
-            for number, row in enumerate(lines, 1):
-                best, seconds = float(row["best_loss"]), float(row["seconds"])
-                if math.isfinite(best) and (not improvements or best < improvements[-1][1]):
-                    improvements.append([number, best])
-        except (KeyError, TypeError, ValueError, csv.Error):
-            return {}
-        if not improvements or not math.isfinite(seconds):
-            return {}
-        best = improvements[-1][1]
-        known = {"evaluations": number, "best_loss": best, "seconds": seconds}
-        return {**known, "improvements": improvements}
+        """What `curve.csv` says, read again when it has changed."""
+        mark = self._mark("curve.csv")
+        if self._known[0] != mark:
+            self._known = mark, _curve_of(self._read("curve.csv") or b"")
+        return self._known[1]
+
+
+def _curve_of(data: bytes) -> dict[str, Any]:
+    lines = csv.DictReader(io.TextIOWrapper(io.BytesIO(data), "utf-8", "replace", newline=""))
+    improvements: list[list[float]] = []
+    number, seconds = 0, 0.0
+    try:
+        for number, row in enumerate(lines, 1):
+            best, seconds = float(row["best_loss"]), float(row["seconds"])
+            if math.isfinite(best) and (not improvements or best < improvements[-1][1]):
+                improvements.append([number, best])
+    except (KeyError, TypeError, ValueError, csv.Error):
+        return {}
+    if not improvements or not math.isfinite(seconds):
+        return {}
+    known = {"evaluations": number, "best_loss": improvements[-1][1], "seconds": seconds}
+    return {**known, "improvements": improvements}
 
 
 def _is_picture(data: bytes) -> bool:

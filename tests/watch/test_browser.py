@@ -35,16 +35,16 @@ def test_it_updates_and_complains_of_nothing(browser: Any, server: Server, direc
         assert shown in text
     assert "<b>wood</b>" in text, "text of a run is text, never HTML"
     assert "improving: the loss fell by half" in page.locator("#status").inner_text()
-    for name in ("target", "best", "difference"):
-        playwright.expect(page.locator(f"#{name}")).to_have_js_property("naturalWidth", 16)
+    for name in ("figure > .target", "figure > .best", "#difference .best"):
+        playwright.expect(page.locator(name)).to_have_js_property("naturalWidth", 16)
     line = page.locator("#line").get_attribute("d")
-    before = page.locator("#best").get_attribute("src")
+    before = page.locator("figure > .best").get_attribute("src")
 
     write_picture(directory / "best.png", 199)
     write_live(directory, 300, 0.0001)
     titled(page, "1.00e-4")
     assert page.locator("#line").get_attribute("d") != line
-    assert page.locator("#best").get_attribute("src") != before
+    assert page.locator("figure > .best").get_attribute("src") != before
     page.close()
     assert troubles == []
     assert all(url.startswith((server.url, "data:")) for url in fetched)

@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 
 import fide_plugins
-from fide_plugins import Choice, Float, Group, Space
+from fide_plugins import Float, Space
 from fide_plugins.cli import main
 from fide_plugins.types import Float32
 from fide_plugins.watch import LiveFile
-from fide_plugins.watch.live import listed
 from fide_plugins.watch.snapshot import RunFiles
 
 SPACE = Space(angle=Float(-60, 60, unit="deg"), level=Float(0, 1))
@@ -50,7 +49,7 @@ def test_a_fit_is_shown_while_it_goes_on(tmp_path: Path) -> None:
     losses = [loss for _, loss in during["improvements"]]
     assert losses == sorted(losses, reverse=True) and losses[-1] == during["best_loss"]
     assert [(row[0], row[2]) for row in during["parameters"]] == [("angle", "deg"), ("level", "")]
-    assert set(during["pictures"]) == {"target.png", "best.png", "difference.png"}
+    assert set(during["pictures"]) == {"target.png", "best.png"}
     after = RunFiles(tmp_path / "run").state()
     assert after["state"] == "finished" and after["evaluations"] == 40 and "busy" not in after
     assert after["best_loss"] <= during["best_loss"]
@@ -92,17 +91,5 @@ def test_a_run_of_the_command_line_is_shown(tmp_path: Path) -> None:
     assert main([*words, "--set", "popsize=6"]) == 0
     state = RunFiles(tmp_path / "run").state()
     assert state["state"] == "finished" and state["evaluations"] == 40
-    assert set(state["pictures"]) == {"target.png", "best.png", "difference.png"}
+    assert set(state["pictures"]) == {"target.png", "best.png"}
     assert state["improvements"][-1][1] == state["best_loss"]
-
-
-def test_parameters_of_groups_and_choices() -> None:
-    space = Space(floor=Choice("wood", "stone"), beads=2 * Group(x=Float(0, 10, unit="mm")))
-    x = space.encode({"floor": "stone", "beads": [{"x": 2.5}, {"x": 7.0}]})
-    names = list(space.parameters)
-    assert listed(space, x) == [
-        [names[0], "stone", ""],
-        [names[1], "2.5", "mm"],
-        [names[2], "7", "mm"],
-    ]
-    assert listed(None, [0.25]) == [["x[0]", "0.2500", ""]]

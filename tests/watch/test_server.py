@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import http.client
-import io
 import json
 import os
 import socket
@@ -13,9 +12,8 @@ import zlib
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-from PIL import Image, ImageFile
+from PIL import ImageFile
 
 from fide_plugins.errors import OptionError
 from fide_plugins.runtime import files
@@ -96,11 +94,6 @@ def test_a_run_whose_process_was_killed_is_not_shown_as_running(
     assert shown()["state"] == "running", "the lock of another machine may not be seen here"
 
 
-def test_the_difference_is_that_of_the_pictures(server: Server) -> None:
-    pixels = np.asarray(Image.open(io.BytesIO(ask(server, "/difference.png")[1])))
-    assert pixels.shape == (12, 16, 3) and (pixels == 80).all()
-
-
 @pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "PATCH", "HEAD", "OPTIONS", "TRACE"])
 def test_nothing_can_be_written(server: Server, directory: Path, method: str) -> None:
     before = {path.name: path.read_bytes() for path in directory.iterdir()}
@@ -156,7 +149,6 @@ def test_links_and_other_contents_are_not_served(server: Server, directory: Path
     (directory / "best.png").unlink()
     (directory / "best.png").write_text("<script>alert(1)</script>")
     assert ask(server, "/best.png")[0] == 404
-    assert ask(server, "/difference.png")[0] == 404
     (directory / "best.png").unlink()
     os.mkfifo(directory / "best.png")
     assert ask(server, "/best.png")[0] == 404
@@ -236,5 +228,5 @@ def test_pictures_of_too_many_pixels_are_not_decoded(
     for name in ("target.png", "best.png"):
         (directory / name).write_bytes(many_pixels(13_000, 13_000))
     monkeypatch.setattr(ImageFile.ImageFile, "load", decoded)
-    for name in ("target.png", "best.png", "difference.png"):
+    for name in ("target.png", "best.png"):
         assert ask(server, f"/{name}")[0] == 404

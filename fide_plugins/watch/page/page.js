@@ -36,13 +36,14 @@ function numbers(state) {
 }
 
 function pictures(versions) {
-  for (const name of ["target", "best", "difference"]) {
+  for (const name of ["target", "best"]) {
     const version = versions[`${name}.png`];
     if (!version || shown[name] === version) continue;
     shown[name] = version;
-    const image = byId(name);
-    image.src = `/${name}.png?${version}`;
-    image.hidden = false;
+    for (const image of document.getElementsByClassName(name)) {
+      image.src = `/${name}.png?${version}`;
+      image.hidden = false;
+    }
   }
 }
 
