@@ -82,10 +82,7 @@ class _Seen:
 
 
 def _look_farther(around: _Around, seen: dict[int, _Seen]) -> None:
-    """Double the step where nothing changes; what the renders do not suffice for stays unknown.
-
-    With few renders it grows faster, which finds what nothing shows, and leaves others unknown.
-    """
+    """Double the step where nothing changes; what the renders do not suffice for stays unknown."""
     still = {axis: one.step for axis, one in seen.items() if not one.changed}
     while still:
         rounds = max(1.0, around.left // (2 * len(still)))

@@ -140,6 +140,10 @@ def fit(
     Whatever ends the fit after it has begun has the attribute `result`: what was computed by then.
     """
     check_known(options, "fit", [name for name in signature(fit).parameters if name != "options"])
+    given = {
+        "mask": mask, "learned": learned, "constraints": constraints, "value_range": value_range
+    }  # fmt: skip
+    options |= {name: value for name, value in given.items() if value is not None}
     return prepare(
         render,
         _with_views(target, views),
@@ -154,8 +158,7 @@ def fit(
         resume=resume,
         progress=progress,
         max_failures=positive_fraction("max_failures", max_failures),
-        options=_given(mask=mask, learned=learned, constraints=constraints, value_range=value_range)
-        | options,
+        options=options,
     ).execute()
 
 
@@ -196,7 +199,11 @@ def prepare(
     number = default_number(executor) if workers is None else whole_number("workers", workers, 0)
     options = dict(options or {})
     check_names(options, _GIVEN, "is no option of the optimizer, but an argument of the fit")
-    optimizer = _optimizer(render, target, space, seed, options, out if resume else None)
+    number_of_parameters("space", space.dim if isinstance(space, Space) else space)
+    if seed is None and out is not None and resume:
+        seed = seed_there(out)
+    there = resume and out is not None and is_saved(out)
+    optimizer = FIDE(space, target, seed=seed, **with_model(options, render, resumed=there))
     renderer = Renderer(render, optimizer.space, raw=optimizer.value_range is not None)
     pool = workers_for(renderer, number, executor, limit)
     if check is not None:
@@ -212,22 +219,6 @@ def prepare(
     )  # fmt: skip
 
 
-def _optimizer(
-    render: Callable[[Any], object],
-    target: object,
-    space: Space | int,
-    seed: int | None,
-    options: dict[str, Any],
-    resumed: str | os.PathLike[str] | None,
-) -> FIDE:
-    """The optimizer; resumed: run directory whose seed it has, where none is given."""
-    number_of_parameters("space", space.dim if isinstance(space, Space) else space)
-    if resumed is not None and seed is None:
-        seed = seed_there(resumed)
-    there = resumed is not None and is_saved(resumed)
-    return FIDE(space, target, seed=seed, **with_model(options, render, resumed=there))
-
-
 def _plan(
     render: Callable[[Any], object], optimizer: FIDE, stopping: Stopping, options: dict[str, Any]
 ) -> dict[str, Any]:
@@ -241,8 +232,10 @@ def _plan(
 def _check_render(render: object, named: bool) -> None:
     """Raise OptionError for a function that cannot be called with one argument."""
     if not callable(render):
+        shape = getattr(render, "shape", None)
+        got = f"an array of shape {tuple(shape)}" if shape else shorten(repr(render), 60)
         raise OptionError(
-            f"render must be a function of the parameters, not {_short(render)}; the order is "
+            f"render must be a function of the parameters, not {got}; the order is "
             "fit(render, target, space)"
         )
     try:
@@ -259,15 +252,6 @@ def _check_render(render: object, named: bool) -> None:
             f"fit calls render(params) with one {what}, and render{form} does not take it "
             f"({error}); {adapted} adapts it"
         ) from None
-
-
-def _short(value: object) -> str:
-    shape = getattr(value, "shape", None)
-    return shorten(repr(value), 60) if shape is None else f"an array of shape {tuple(shape)}"
-
-
-def _given(**options: Any) -> dict[str, Any]:
-    return {name: value for name, value in options.items() if value is not None}
 
 
 def _with_views(target: object, views: Sequence[object] | None) -> object:

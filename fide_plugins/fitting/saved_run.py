@@ -282,7 +282,9 @@ def _read(path: Path, run: dict[str, Any]) -> Result:
     solutions, weights = read_solutions(totals.get("solutions", []), dim, space), None
     status = Status("unknown", "What the optimizer knew of the run is not recorded.")
     if "status" in totals:
-        status = Status(_text(totals["status"]), _text(totals["sentence"]))
+        status = Status(totals["status"], totals["sentence"])
+        if not isinstance(status.sentence, str):
+            raise TypeError(f"a sentence is {status.sentence!r}")
     if not totals or settings.get("weights") is not None:
         with suppress(FideError):  # it needs an encoder of the user's
             optimizer = optimizer_in(path)
@@ -290,7 +292,18 @@ def _read(path: Path, run: dict[str, Any]) -> Result:
                 solutions = solutions or optimizer.solutions()
                 status = status if totals else optimizer.status
                 weights = optimizer.weights
-    best = _best(record, solutions, space, views, values)
+    best = None
+    if record.x_best is not None:
+        known = next((one for one in solutions if np.array_equal(one.x, record.x_best)), None)
+        best = Solution(
+            record.x_best,
+            record.best_loss,
+            record.best_evaluation,
+            None if record.image is None else restored(unpacked(record.image, views), values),
+            None if known is None else known.probability,
+            space,
+            None if known is None else known.estimate,
+        )
     adapts = any((settings.get("options") or {}).get(name) for name in _ADAPTS)
     return Result(
         best=best,
@@ -309,33 +322,6 @@ def _read(path: Path, run: dict[str, Any]) -> Result:
         stopped=str((totals and run.get("stopped")) or run.get("state")),
         out=path,
         **histories(record, dim),
-    )
-
-
-def _text(value: object) -> str:
-    if not isinstance(value, str):
-        raise TypeError(f"a text is {value!r}")
-    return value
-
-
-def _best(
-    record: Record,
-    solutions: list[Solution],
-    space: Space | None,
-    views: Any,
-    values: ValueRange | None,
-) -> Solution | None:
-    if record.x_best is None:
-        return None
-    known = next((one for one in solutions if np.array_equal(one.x, record.x_best)), None)
-    return Solution(
-        record.x_best,
-        record.best_loss,
-        record.best_evaluation,
-        None if record.image is None else restored(unpacked(record.image, views), values),
-        None if known is None else known.probability,
-        space,
-        None if known is None else known.estimate,
     )
 
 

@@ -107,24 +107,14 @@ def _has_fallen(optimizer: FIDE) -> bool:
 
 
 def _is_converged(losses: Sequence[float], best: float, optimizer: FIDE) -> bool:
-    """Whether the search knows the answer as well as noise of the target allows.
-
-    By noise alone the loss of the right parameters exceeds the lowest one by d / n of it, for d
-    parameters and n values of pixels, on average (the chi-squared law).  So many of the last 1,000
-    candidates as a generation has must be as good.  With a noisy renderer losses scatter far more.
-    """
+    """Whether the search knows the answer as well as noise of the target allows."""
     within = best + abs(best) * optimizer.dim / optimizer.views.numbers
     last = np.asarray(losses[-max(_LAST, optimizer.popsize) :])
     return int(np.count_nonzero(last <= within)) >= optimizer.popsize
 
 
 def _is_stalled(code: str, optimizer: FIDE) -> bool:
-    """Whether nothing more is to be expected.
-
-    At the noise floor of a noisy renderer, or several searches ended at the same answer: at once.
-    Otherwise if the loss has not improved by a tenth for 150 generations and for as many
-    evaluations as it took to get there: moves take some ten generations, and mostly fail.
-    """
+    """Whether nothing more is to be expected."""
     if code in ("waiting", "improving"):
         return False
     state = optimizer.state

@@ -261,12 +261,7 @@ class LocalEstimate:
     def _fit(
         self, around: Surroundings, target: Float64, near: Indices, others: Sequence[OtherValue]
     ) -> tuple[FitToTarget, list[Float64]]:
-        """The linear model of the samples `near` (m,); features of other values and own ones.
-
-        target: (f,), features of the target.
-
-        The features of all of them, and of the target, are turned into few at once.
-        """
+        """The linear model of the samples `near` (m,); features of other values and own ones."""
         parts = [near, *(rows for other in others for rows in (other.rows, other.own))]
         f = independent(target, len(self.target), around.features)
         every, target = compressed(around.features[np.concatenate(parts)], target)

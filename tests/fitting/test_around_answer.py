@@ -67,8 +67,8 @@ def test_a_solved_fit_knows_its_answer_well() -> None:
 
 
 def test_no_more_than_a_tenth_of_the_budget_and_none_of_a_renderer_with_noise() -> None:
-    assert fitted(GAP, 0, budget=80).std_renders == 0
-    assert fitted(GAP, 0, budget=100).std_renders >= 5
+    assert fitted(GAP, 0, budget=40).std_renders == 0
+    assert fitted(GAP, 0, budget=60).std_renders >= 5
     rng = np.random.default_rng(0)
 
     def noisy(p: Mapping[str, Any]) -> Float64:
@@ -123,7 +123,7 @@ def test_of_an_image_that_changes_in_jumps_no_more_is_claimed_than_a_step_tells(
 
     result = fit(hard, hard(TRUTH), SPACE, budget=300, workers=0, seed=0)
     error = abs(SPACE.encode(result.params)[0] - SPACE.encode(TRUTH)[0])
-    assert result.std_renders == 9 and deviations(result)[0] >= 0.001
+    assert result.std_renders == 5 and deviations(result)[0] >= 0.005
     assert result.stopped == "solved" and error < 0.5 / 31
 
 
@@ -165,7 +165,7 @@ def test_one_side_is_enough_where_the_other_fails() -> None:
         return disk(p)
 
     result = of_one(cliff, 0.6)
-    assert result.stopped == "solved" and result.std_renders >= 4
+    assert result.stopped == "solved" and result.std_renders >= 3
     assert 0 < deviations(result)[0] < 0.01
 
 

@@ -181,7 +181,7 @@ def test_text_and_page_have_units_and_deviations(kept: Result) -> None:
     page, text = kept._repr_html_(), repr(kept)
     assert f"angle={kept.params['angle']:.1f}"[:8] in text and " ± " in text and " deg" in text
     assert f"kind={kept.params['kind']}" in text and str(kept.status) in text
-    assert "<td>deg</td>" in page and "<b>bar" not in page and page.count("data:image/png") == 4
+    assert "<td>deg</td>" in page and "<b>bar" not in page and page.count("data:image/png") == 3
 
     class Balanced(HTMLParser):
         depth = 0
