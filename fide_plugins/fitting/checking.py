@@ -38,7 +38,7 @@ _OWN = 0.001  # seconds that the optimizer itself takes for a candidate
 _SHOWN, _NAMED, _REASONS = 40, 8, 3  # parameters in the picture, names in a sentence, failures
 
 Views = list[Float32]
-"""Views (H, W, C) of a render; bytes are divided by 255, NaN is the least value."""
+"""Views (H, W, C) of a render; bytes are divided by 255, NaN is 0."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ class Facts:
     shapes: (H, W, C) of all views, as they occurred; kinds: types of their numbers.
     not_finite, constant, outside: images with NaN or infinite values, of one color, and with values
         outside of [0, 1].
-    first, median, slowest: seconds of the first render, of all others, and of the longest.
+    median: seconds of a render, without the first one.
     noise: largest RMS difference of renders of one point.
     points: where parameters were tried that change nothing at the center.
     kills: whether a render ended its process, or was stopped for its time.
@@ -133,9 +133,7 @@ class Facts:
     not_finite: int = 0
     constant: int = 0
     outside: int = 0
-    first: float = 0.0
     median: float = 0.0
-    slowest: float = 0.0
     number: int = 1
     noise: float | None = None
     points: int = 0
@@ -155,17 +153,15 @@ class Facts:
         return _BYTES[0] <= self.high <= _BYTES[1] and self.low >= -0.1 * self.high
 
     @property
-    def ends(self) -> tuple[float, float]:
-        """Black and white, in which images are shown, and differences told."""
-        if self.bytes_as_floats:
-            return 0.0, 255.0
-        black = 0.0 if self.low >= -_OVERSHOOT else self.low
-        return black, 1.0 if self.high <= 1 + _OVERSHOOT else self.high
+    def black(self) -> float:
+        """Value that is shown as black."""
+        return 0.0 if self.bytes_as_floats or self.low >= -_OVERSHOOT else self.low
 
     @property
     def span(self) -> float:
-        """Width of it."""
-        return self.ends[1] - self.ends[0]
+        """From black to white, in which differences are told."""
+        white = 1.0 if self.high <= 1 + _OVERSHOOT else self.high
+        return (255.0 if self.bytes_as_floats else white) - self.black
 
     @property
     def budget(self) -> int:
@@ -189,13 +185,11 @@ def check(
     *,
     workers: int | None = None,
     timeout: float | str | None = None,
-    told: Callable[[int, float], None] = lambda renders, seconds: None,
 ) -> Facts:
     """Render a few points, and find what to know before a fit.
 
     render, space, timeout: as for `fit`.
     workers: renders at a time; None: as many as there are cores, at most 8.
-    told: gets how many renders are still to come at least, and about how many seconds they take.
 
     A render that fails is counted.  Raises OptionError (a ValueError).
     """
@@ -203,7 +197,7 @@ def check(
     limit = None if timeout is None else seconds_of("timeout", timeout)
     run = _Check(render, space, limit, 1 if workers is None else min(workers, 1))
     try:
-        run.execute(default_number() if workers is None else workers, workers is None, told)
+        run.execute(default_number() if workers is None else workers, workers is None)
     finally:
         run.pool.close()
     run.facts.seconds = time.perf_counter() - begun
@@ -223,7 +217,7 @@ class _Check:
         self._seconds: list[float] = []
         self._rng = np.random.default_rng(0)
 
-    def execute(self, number: int, free: bool, told: Callable[[int, float], None]) -> None:
+    def execute(self, number: int, free: bool) -> None:
         """Render; number: of workers, or one for fast renders where that is `free`."""
         facts = self.facts
         bases = self._rng.random((_POINTS, facts.dim))
@@ -235,20 +229,17 @@ class _Check:
             return
         center, image = found
         facts.noise = _largest([image, *self._images(np.repeat(center[None], 2, axis=0))])
-        each = min(self._seconds[1:], default=facts.first)
+        each = min(self._seconds)
         facts.number = number
         number = 1 if each < _FAST and free else number
         if number != self.pool.number:
             self.pool.close()
             self.pool = workers_for(self._renderer, number, None, self._limit)
         plan = sweeps(self._space, center)
-        count = _POINTS + sum(len(sweep.X) for sweep in plan)
-        told(count, count * each / max(number, 1))
         known = list(zip(bases, self._images(bases), strict=True))
         facts.effects = [self._effect(sweep) for sweep in plan]
         self._elsewhere([(x, image) for x, image in known if image is not None])
-        later = self._seconds[1:] or self._seconds
-        facts.median, facts.slowest = median(later), max(later)
+        facts.median = median(self._seconds[1:] or self._seconds)
 
     def _center(self, bases: Float64) -> tuple[Float64, Views] | None:
         """The middle of the ranges and its image, or the first of other points that has one."""
@@ -260,7 +251,6 @@ class _Check:
             (image,) = self._images(x[None])
             if image is not None:
                 self.facts.center, self.facts.centered = self._renderer.params(x), i == 0
-                self.facts.first = self._seconds[0]
                 return x, image
         return None
 
@@ -327,11 +317,8 @@ class _Check:
             view = np.asarray(array if array.ndim == 3 else array[..., None], np.float32)
             if array.dtype == np.uint8:
                 view = view / np.float32(255)
-            finite = np.isfinite(view)
-            if not finite.all():
-                lost = True
-                view = np.where(finite, view, view[finite].min() if finite.any() else 0)
-            views.append(view)
+            lost |= not np.isfinite(view).all()
+            views.append(np.nan_to_num(view, posinf=0, neginf=0))
         facts.kinds = list(dict.fromkeys([*facts.kinds, *(str(one.dtype) for one in arrays)]))
         facts.shapes = list(dict.fromkeys([*facts.shapes, tuple(view.shape for view in views)]))
         low, high = min(float(v.min()) for v in views), max(float(v.max()) for v in views)
@@ -456,8 +443,7 @@ def lines(name: str, facts: Facts) -> list[str]:
         shown += [
             f"image     {shape_text(facts.shapes[0])}, {' and '.join(facts.kinds)}, "
             f"values {facts.low:.4g} to {facts.high:.4g}",
-            f"time      {duration(facts.median)} a render (median), at most "
-            f"{duration(facts.slowest)}, the first one {duration(facts.first)}",
+            f"time      {duration(facts.median)} a render (median)",
             f"noise     {noise}",
         ]
     if facts.rejected:
@@ -511,9 +497,7 @@ def as_data(name: str, facts: Facts) -> dict[str, Any]:
         "sizes": [[list(shape) for shape in shapes] for shapes in facts.shapes],
         "types": facts.kinds,
         "values": [facts.low, facts.high] if facts.images else None,
-        "first_s": facts.first,
         "median_s": facts.median,
-        "slowest_s": facts.slowest,
         "fit_s": facts.seconds_of_fit,
         "noise_rms": facts.noise,
         "deterministic": None if facts.noise is None else facts.noise == 0,
@@ -543,6 +527,6 @@ def figure(name: str, facts: Facts) -> bytes:
                 axes.text(0.5, 0.5, f"{plain(text)}: no image", fontsize=8, ha="center")
             else:
                 axes.axis("on")
-                shown = np.clip((picture - facts.ends[0]) / facts.span, 0, 1)
+                shown = np.clip((picture - facts.black) / facts.span, 0, 1)
                 draw_image(axes, Panel(plain(text), np.asarray(shown, np.float32)))
     return figure_as_png(canvas)

@@ -41,12 +41,11 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 TABLES = ("curve.csv", "improvements.csv")
-TARGET_VALUES = "target.tif"
 LIVE = "live.json"
 """What a call says of itself between two checkpoints, see `watch.live`."""
 _RESULTS = (*TABLES, "best.png", "best.tif", "reference.png", "summary.png", CHECKPOINT)
 _WRITTEN = (
-    *_RESULTS, LIVE, TARGET_FILE, "run.json", "target.png", TARGET_VALUES,
+    *_RESULTS, LIVE, TARGET_FILE, "run.json", "target.png", "target.tif",
     "optimizer-*.ckpt", "probe",  # `check_writable`
 )  # fmt: skip
 _LOCK = ".run.lock"  # not that of a comparison, which holds its own meanwhile
@@ -108,10 +107,9 @@ class RunDirectory:
 
     It is locked until `close`, or until the process ends.  Who only reads takes no lock.
 
-    settings: that define the run; a folder with other ones is refused.
+    settings: that define the run; a folder with other ones is refused, but for `may_change`.
     resume: whether an existing run may be continued.
     limits: when the run stops, where that is no setting.
-    may_change: names of settings that may be others when the run is resumed.
     sources: fingerprints of the user's files, see `sources.of_files`; warns of one that is edited.
 
     Raises RunDirectoryError (a FileExistsError), also if there are results without a `run.json`,
@@ -133,26 +131,22 @@ class RunDirectory:
         self.settings: dict[str, Any] = json.loads(json.dumps(settings))  # as it is read back
         files.check_writable(self.path)
         with _lock(self.path) as lock:
+            how = None if command is None else shlex.join(command)
             self._run: dict[str, Any] = {
-                "format": FORMAT,
-                "state": "running",
-                "settings": self.settings,
-                "command": None if command is None else shlex.join(command),
-                "started": now(),
-                "resumed": [],
-            }
+                "format": FORMAT, "state": "running", "settings": self.settings, "command": how,
+                "started": now(), "resumed": [],
+            }  # fmt: skip
             before, begun = read_run(self.path), is_saved(self.path)
-            if before is None:
-                if there := results_in(self.path):
-                    raise RunDirectoryError(
-                        f"{self.path} has no run.json, but {', '.join(there)}, which a run may "
-                        "overwrite; name another directory, or move that away; if it was a run, "
-                        "copy its run.json back to go on with it"
-                    )
-            else:
+            if before is not None:
                 self._check(before["settings"], resume, may_change)
                 self._run = {**before, "settings": self.settings, "state": "running"}
                 self._run["resumed"] = [*before.get("resumed", []), now()]
+            elif there := results_in(self.path):
+                raise RunDirectoryError(
+                    f"{self.path} has no run.json, but {', '.join(there)}, which a run may "
+                    "overwrite; name another directory, or move that away; if it was a run, "
+                    "copy its run.json back to go on with it"
+                )
             if limits is not None:
                 self._run["limits"] = limits
             if sources:
@@ -224,7 +218,7 @@ class RunDirectory:
         """Write a checkpoint, the tables and the best image, each also where another fails.
 
         The checkpoint, the largest, comes last; but the first one first, so that a kill leaves no
-        tables without one.
+        tables without one.  best, values: see `write_tables`.
         """
 
         def write_state() -> None:
@@ -245,21 +239,28 @@ class RunDirectory:
         try_each(
             lambda: files.write_text(self.path / "curve.csv", curve_table(record)),
             lambda: files.write_text(self.path / "improvements.csv", improvements_table(record)),
-            lambda: self._write_picture("best.png", best),
-            lambda: self._write_values("best.tif", values),
+            lambda: self._write_image("best", best, values),
         )
 
     def write_target(self, image: Float32, values: Float32 | None = None) -> None:
         """Write `target.png`, and `target.tif` of its values where these are others, once."""
-        if not (self.path / TARGET_VALUES).exists():
-            self._write_values(TARGET_VALUES, values)
         if not (self.path / "target.png").exists():
-            self._write_picture("target.png", image)
+            self._write_image("target", image, values)
 
     def write_reference(self, result: RunResult) -> None:
         """Write `reference.png` if it differs from the best image of the run."""
         if result.noisy:
-            self._write_picture("reference.png", result.reference)
+            self._write_image("reference", result.reference)
+
+    def _write_image(self, name: str, image: Float32 | None, values: Float32 | None = None) -> None:
+        if values is not None:
+            from fide_plugins.validation.image_files import encoded
+
+            files.write_bytes(self.path / f"{name}.tif", encoded(values, ".tif"))
+        if image is not None:
+            from fide_plugins.recording.figures import as_png
+
+            files.write_bytes(self.path / f"{name}.png", as_png(image))
 
     def write_summary(
         self, result: RunResult, target: Float32, counts: Float32 | None = None
@@ -274,18 +275,6 @@ class RunDirectory:
             warn_user(f"summary.png is left out: {error}")
         else:
             files.write_bytes(self.path / "summary.png", summary(result, target, counts))
-
-    def _write_picture(self, name: str, image: Float32 | None) -> None:
-        if image is not None:
-            from fide_plugins.recording.figures import as_png
-
-            files.write_bytes(self.path / name, as_png(image))
-
-    def _write_values(self, name: str, values: Float32 | None) -> None:
-        if values is not None:
-            from fide_plugins.validation.image_files import encoded
-
-            files.write_bytes(self.path / name, encoded(values, ".tif"))
 
     def write_run(
         self,

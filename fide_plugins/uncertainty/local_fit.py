@@ -203,10 +203,10 @@ class _Directions(NamedTuple):
     chance: Mask
 
 
-def information(fit: LocalFit, least: float = _RESOLVED) -> Float64:
-    """J J^T (d, d) without its error, in the directions in which it exceeds `least` times that."""
+def information(fit: LocalFit) -> Float64:
+    """J J^T (d, d) without its error, in the directions in which it exceeds that."""
     found = _directions(fit)
-    known = np.where(found.ratios > least, found.ratios - 1, 0.0)
+    known = np.where(found.ratios > _RESOLVED, found.ratios - 1, 0.0)
     energy: Float64 = (found.slopes * known) @ found.slopes.T
     return energy
 
