@@ -60,10 +60,12 @@ def compare_anew(optimizer: FIDE, std: Float64 | None = None) -> None:
     start, now = Start(kept.x[order[0]].copy(), std), state.evaluations
     blurs = state.scales.left
     hypotheses = state.moves.hypotheses
-    posterior, typical = hypotheses.posterior if state.moves.descends else None, hypotheses.typical
+    posterior = typical = None
+    if hypotheses is not None and state.moves.descends:
+        posterior, typical = hypotheses.posterior, hypotheses.typical
     change = float(np.median(compared.losses)) / max(float(np.median(before)), 1e-300)
     state.retarget(evaluator.target_tokens, start, posterior)
-    if posterior is not None and typical is not None:
+    if hypotheses is not None and posterior is not None and typical is not None:
         hypotheses.typical = change * typical
     state.memory = Memory(optimizer.options.memory_mb)
     for i in order:
