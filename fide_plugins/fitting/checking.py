@@ -55,8 +55,8 @@ class Sweep:
 
 def sweeps(space: Space | int, center: Float64) -> list[Sweep]:
     """A sweep around the point (dim,) of each parameter that can vary."""
-    named = not isinstance(space, int)
-    known = space if named else Space(**{f"x{i}": Float(0, 1) for i in range(space)})
+    unnamed = isinstance(space, int)
+    known = Space(**{f"x{i}": Float(0, 1) for i in range(space)}) if isinstance(space, int) else space
     found = []
     for i, (name, kind) in enumerate(known.parameters.items()):
         axes, (low, high, step, _) = known.axes[name], kind.scale
@@ -73,7 +73,7 @@ def sweeps(space: Space | int, center: Float64) -> list[Sweep]:
         values = [dict(flat(params))[name] for params in known.decode_many(X)]
         texts = [f"{value:.4g}" if isinstance(value, float) else str(value) for value in values]
         limits = f"{low:g} to {high:g}" if hasattr(kind, "low") else f"{round(high) + 1} values"
-        name = name if named else f"x[{i}]"
+        name = f"x[{i}]" if unnamed else name
         label = name if kind.unit is None else f"{name} [{kind.unit}]"
         found.append(Sweep(name, label, axes, limits, X, texts))
     return found

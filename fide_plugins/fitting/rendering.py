@@ -101,7 +101,10 @@ def attempt(
 
 @dataclass(frozen=True, slots=True)
 class Renderer:
-    """The user's function; raw: whether numbers of image files are taken as they are stored."""
+    """The user's function of a dictionary, or of x (d,) where there is no space.
+
+    raw: whether numbers of image files are wanted as they are stored, for a range of values.
+    """
 
     render: Callable[[Any], Any]
     space: Space | None
@@ -113,19 +116,18 @@ class Renderer:
 
     def __call__(self, x: Float64) -> Outcome:
         """Image of the point x (d,) of the cube."""
-
-        def in_memory() -> Any:
-            image = self.render(self.params(x))
-            try:
-                return _in_memory(image, self.raw)
-            except ImageError as error:
-                return Failed.no_fit(error, image)
-
         start = time.perf_counter()
-        image = attempt(in_memory)
+        image = attempt(lambda: self._image(x))
         if isinstance(image, Failed):
             return image
         return Rendered(image, time.perf_counter() - start)
+
+    def _image(self, x: Float64) -> Any:
+        image = self.render(self.params(x))
+        try:
+            return _in_memory(image, self.raw)
+        except ImageError as error:
+            return Failed.no_fit(error, image)
 
 
 def _in_memory(image: Any, raw: bool) -> Any:

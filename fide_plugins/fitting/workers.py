@@ -33,14 +33,13 @@ T = TypeVar("T")
 
 
 class Workers(Protocol):
-    """Renders candidates, several at a time."""
+    """Renders candidates, `number` at a time."""
 
     number: int
-    """How many renders run at a time."""
 
     @property
     def usable(self) -> int:
-        """How many of them can render: all but those that hang and cannot be killed."""
+        """How many can render: all but those that hang and cannot be killed."""
 
     def submit(self, x: Any) -> Task:
         """Render the point x (d,), or whatever the renderer takes."""

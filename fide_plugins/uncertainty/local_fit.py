@@ -301,8 +301,7 @@ def covariance(model: FitToTarget) -> Float64:
 
 def deviations(model: FitToTarget) -> Float64:
     """Standard deviations (d,), in units of the unit cube."""
-    std: Float64 = np.sqrt(np.diag(covariance(model)))
-    return std
+    return np.asarray(np.sqrt(np.diag(covariance(model))))
 
 
 def _inverse(precision: Float64) -> Float64:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -23,6 +24,11 @@ from .conftest import fide, last_line, summary
 pytestmark = pytest.mark.figures
 
 
+def returning(images: Any) -> Callable[[Any], Any]:
+    """A renderer that always returns these."""
+    return lambda x: images
+
+
 def test_views_need_one_image_each() -> None:
     target = np.zeros((8, 8, 3), np.float32)
     both = [target, target]
@@ -34,9 +40,9 @@ def test_views_need_one_image_each() -> None:
         ([target, target[:4]], "the first render gave no image that fits: .*4"),
     ):
         with pytest.raises(ImageError, match=message):
-            Renders(lambda x, images=images: images, 0, None).check_first(optimizer)
-    Renders(lambda x: both, 0, None).check_first(optimizer)
-    Renders(lambda x: tuple(both), 0, None).check_first(optimizer)
+            Renders(returning(images), 0, None).check_first(optimizer)
+    Renders(returning(both), 0, None).check_first(optimizer)
+    Renders(returning(tuple(both)), 0, None).check_first(optimizer)
 
 
 @pytest.fixture

@@ -105,7 +105,7 @@ def test_where_a_render_around_the_answer_fails_samples_say_it(wrong: str) -> No
     def render(p: Mapping[str, Any]) -> Any:
         nonlocal calls
         calls += 1
-        if calls <= 162:
+        if calls <= 161:
             return draw(p)
         if wrong == "raises":
             raise ValueError("no more")
