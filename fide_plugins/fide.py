@@ -24,7 +24,7 @@ from fide_plugins.proposers import channel_subsets, make_proposer, make_steps
 from fide_plugins.proposers.image_gate import ImageGate
 from fide_plugins.runtime.machine import timed
 from fide_plugins.runtime.messages import warn_user
-from fide_plugins.runtime.schema import array, check, maybe
+from fide_plugins.runtime.schema import array, check, each, maybe, whole
 from fide_plugins.runtime.threads import Lock, one_at_a_time, one_thread
 from fide_plugins.saving import Saved
 from fide_plugins.search.cma_es import default_popsize
@@ -700,7 +700,7 @@ class FIDE(Saved):
     @property
     def target(self) -> Any:
         """Target (H, W, 3), or a list of them, one for each view, in the values of the user."""
-        return self.views.restored(self.views.targets)
+        return self.views.restored(self.evaluator.full.targets)
 
     @property
     def encoder(self) -> PatchEncoder:
@@ -848,7 +848,7 @@ class FIDE(Saved):
     def settings(self) -> dict[str, Any]:
         """Arguments of the constructor, but for `loss` and `device`; the target is in [0, 1]."""
         given = {name: getattr(self, name) for name in _ARGUMENTS}
-        given |= {"target": self.views.targets, "x0": self.guess}
+        given |= {"target": self.evaluator.full.targets, "x0": self.guess}
         space = None if self.space is None else self.space.to_dict()
         own = {"popsize": self.popsize, "space": space, "constraints": self.has_own_constraints}
         return given | flat(self.options) | own
@@ -880,7 +880,8 @@ class FIDE(Saved):
         comparison = self.evaluator.comparison
         how = None if comparison is None else comparison.state_dict()
         versions = self.evaluator.versions
-        return {**self.state.state_dict(), "versions": versions, "comparison": how}
+        size = {} if self.evaluator.size is None else {"size": list(self.evaluator.size)}
+        return {**self.state.state_dict(), "versions": versions, "comparison": how, **size}
 
     @one_at_a_time
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
@@ -890,7 +891,11 @@ class FIDE(Saved):
         state = dict(state)
         self.evaluator.check_versions(state.pop("versions"))
         before = self.evaluator
-        self.evaluator = before.comparing(state.pop("comparison"))
+        size = state.pop("size", None)
+        check(size, maybe(each(whole(1))), {}, "size")
+        size = None if size is None else tuple(size)
+        sized = before if size == before.size else before.at_size(size)
+        self.evaluator = sized.comparing(state.pop("comparison"))
         try:
             fresh = self._initial_state()
             (height, width, _), (tokens, channels) = self.views.target.shape, self.features_shape

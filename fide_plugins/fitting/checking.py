@@ -56,7 +56,10 @@ class Sweep:
 def sweeps(space: Space | int, center: Float64) -> list[Sweep]:
     """A sweep around the point (dim,) of each parameter that can vary."""
     unnamed = isinstance(space, int)
-    known = Space(**{f"x{i}": Float(0, 1) for i in range(space)}) if isinstance(space, int) else space
+    if isinstance(space, int):
+        known = Space(**{f"x{i}": Float(0, 1) for i in range(space)})
+    else:
+        known = space
     found = []
     for i, (name, kind) in enumerate(known.parameters.items()):
         axes, (low, high, step, _) = known.axes[name], kind.scale

@@ -55,8 +55,14 @@ class Result:
     stopped: why it ended: "solved", "noise", "stalled" (see `fit`), "budget", "time", "stop_at",
         "callback", "interrupted" or "failed"; of a run that was read also "running", "finished".
     out: run directory; None without.
+    <<<<<<< HEAD
     std_renders: renders around the answer, beside the evaluations, from which `best.std` is
         computed; 0: it is rough, from samples of the search, or was read.
+    =======
+    cost: of all renders, in full ones, by pixels times samples; see `Fidelity`.
+    std_renders: renders around the answer at the end, beside the evaluations, from which
+        `best.std` is computed; 0: it is rough, from samples of the search, or was read.
+    >>>>>>> main
     value_range: values of target and images that are black and white; None: 0 and 1.
     compared: best image as it is compared, where that is another picture than `best.image`.
     unsaved: what `save` writes, of a fit that has just ended.
@@ -80,6 +86,7 @@ class Result:
     busy: float
     stopped: str
     out: Path | None
+    cost: float
     std_renders: int = 0
     clipped: int = 0
     value_range: tuple[float, float] | None = None
@@ -195,6 +202,7 @@ def histories(record: Record, dim: int) -> dict[str, Any]:
         "improved_at": np.array(record.improvements, np.intp),
         "path": np.array(record.path).reshape(len(record.path), dim),
         "evaluations": record.evaluations,
+        "cost": record.cost,
         "seconds": record.wall_s,
     }
 

@@ -63,7 +63,7 @@ class SavedRun:
         with ExitStack() as refused:
             refused.callback(self.close)
             restored = self._directory.restore(optimizer.continue_from)
-            target = optimizer.evaluator.target
+            target = optimizer.evaluator.full.target
             self._directory.write_target(
                 picture(optimizer, target), _in_user_values(optimizer, target)
             )
@@ -101,6 +101,7 @@ class SavedRun:
         more = {
             "failures": record.failures,
             "clipped": optimizer.clipped,
+            "cost": record.cost,
             "solutions": solutions_as_data(solutions),
         }
         writes = [
@@ -117,7 +118,7 @@ class SavedRun:
             for image in (result.first_image, result.reference)
         )
         shown = replace(result, first_image=first, image=best, reference=best)
-        target = picture(optimizer, optimizer.evaluator.target)
+        target = picture(optimizer, optimizer.evaluator.full.target)
         self._directory.write_summary(shown, target, counting(optimizer.weights, optimizer.target))
 
 
@@ -167,7 +168,7 @@ def settings_of(name: str, optimizer: FIDE, options: Mapping[str, Any]) -> dict[
     name: of what renders; options: of the optimizer, as the user gave them.  Arrays are recorded by
     their digest; a starting point, its width and groups as the optimizer has made them.
     """
-    target, several = optimizer.evaluator.target, isinstance(optimizer.target, list)
+    target, several = optimizer.evaluator.full.target, isinstance(optimizer.target, list)
     space = optimizer.space
     made = {
         "x0": None if optimizer.guess is None else optimizer.guess.tolist(),
@@ -179,7 +180,7 @@ def settings_of(name: str, optimizer: FIDE, options: Mapping[str, Any]) -> dict[
         "task_seed": None,
         "task_options": {},
         "size": list(target.shape[:2]),
-        "views": [list(one.size) for one in optimizer.views.views] if several else None,
+        "views": [list(one.shape[:2]) for one in optimizer.target] if several else None,
         "dim": optimizer.dim,
         "value_range": None if optimizer.value_range is None else list(optimizer.value_range),
         "target": _digest(target),
