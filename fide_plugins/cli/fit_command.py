@@ -229,7 +229,6 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
     from fide_plugins.fitting.stopping import Stopping
     from fide_plugins.fitting.workers import default_number
     from fide_plugins.recording.storage import read_run
-    from fide_plugins.watch import LiveFile
 
     render, space, timeout = _renderer(args)
     values = value_range_of(args.value_range)
@@ -266,7 +265,6 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
         out=out,
         resume=args.resume,
         command=command,
-        callbacks=[LiveFile()] if args.live else [],  # `fide watch` reads checkpoints
         progress=True if sys.stderr.isatty() else lines("fide fit"),
         check=check,
         max_failures=1.0 if share is None else positive_fraction("max_failures", share),

@@ -485,6 +485,7 @@ def _table(facts: Facts) -> list[str]:
 def as_data(name: str, facts: Facts) -> dict[str, Any]:
     """The same for JSON."""
     names = ("dim", "renders", "rejected", "failed", "images", "not_finite", "constant", "outside")
+    more = ("budget", "workers", "seconds", "median", "seconds_of_fit", "shapes", "kinds", "noise")
     effects = [
         {
             "name": one.sweep.name,
@@ -496,14 +497,8 @@ def as_data(name: str, facts: Facts) -> dict[str, Any]:
     ]
     return {
         "renderer": name,
-        **{key: getattr(facts, key) for key in (*names, "budget", "workers", "seconds")},
-        "sizes": [[list(shape) for shape in shapes] for shapes in facts.shapes],
-        "types": facts.kinds,
+        **{key: getattr(facts, key) for key in (*names, *more)},
         "values": [facts.low, facts.high] if facts.images else None,
-        "median_s": facts.median,
-        "fit_s": facts.seconds_of_fit,
-        "noise_rms": facts.noise,
-        "deterministic": None if facts.noise is None else facts.noise == 0,
         "center": dict(flat(facts.center)) if isinstance(facts.center, dict) else None,
         "failures": [asdict(one) for one in facts.failures],
         "parameters": effects,

@@ -67,7 +67,7 @@ class SavedRun:
             self._directory.write_target(
                 picture(optimizer, target), _in_user_values(optimizer, target)
             )
-            self._directory.begin()
+            self._directory.write_run()
             refused.pop_all()
         return None if restored is None else restored[0]
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from fide_plugins.errors import OptionError
 from fide_plugins.validation.options import seconds_of
-from fide_plugins.validation.points import whole_number
+from fide_plugins.validation.points import as_real, whole_number
 from fide_plugins.views.solved import is_solved
 
 if TYPE_CHECKING:
@@ -38,11 +38,7 @@ class Stopping:
 
     @classmethod
     def of(
-        cls,
-        budget: object,
-        time: object,
-        stop_at: Any,
-        until: object = "solved",
+        cls, budget: object, time: object, stop_at: object, until: object = "solved"
     ) -> Stopping:
         """Rules as a user gives them; raises OptionError (a ValueError)."""
         number = None if budget is None else whole_number("budget", budget, 1)
@@ -54,7 +50,10 @@ class Stopping:
                 "budget=None needs another rule by which the fit ends for sure: give time or "
                 "until='stalled'"
             )
-        return cls(number, seconds, _loss(stop_at), str(until))
+        loss = None if stop_at is None else as_real(stop_at)
+        if stop_at is not None and (loss is None or not np.isfinite(loss)):
+            raise OptionError(f"stop_at must be a finite number, a loss, not {stop_at!r}")
+        return cls(number, seconds, loss, str(until))
 
     def reached(
         self, losses: Sequence[float], seconds: float, best: float, improved: bool, optimizer: FIDE
@@ -131,15 +130,3 @@ def _is_stalled(code: str, optimizer: FIDE) -> bool:
         return True
     since, took = state.evaluations - state.improved_at, state.improved_at - state.retargeted_at
     return since >= max(took, _PATIENCE * optimizer.popsize)
-
-
-def _loss(stop_at: Any) -> float | None:
-    if stop_at is None:
-        return None
-    try:
-        loss = np.nan if isinstance(stop_at, bool | str) else float(stop_at)
-    except (TypeError, ValueError, OverflowError):
-        loss = np.nan
-    if not np.isfinite(loss):
-        raise OptionError(f"stop_at must be a finite number, a loss, not {stop_at!r}")
-    return loss

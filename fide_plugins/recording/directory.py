@@ -41,11 +41,9 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 TABLES = ("curve.csv", "improvements.csv")
-LIVE = "live.json"
-"""What a call says of itself between two checkpoints, see `watch.live`."""
 _RESULTS = (*TABLES, "best.png", "best.tif", "reference.png", "summary.png", CHECKPOINT)
 _WRITTEN = (
-    *_RESULTS, LIVE, TARGET_FILE, "run.json", "target.png", "target.tif",
+    *_RESULTS, TARGET_FILE, "run.json", "target.png", "target.tif",
     "optimizer-*.ckpt", "probe",  # `check_writable`
 )  # fmt: skip
 _LOCK = ".run.lock"  # not that of a comparison, which holds its own meanwhile
@@ -202,11 +200,6 @@ class RunDirectory:
             )
 
     # -- writing -----------------------------------------------------------------------------------
-
-    def begin(self) -> None:
-        """Write the run down, before its first render."""
-        (self.path / LIVE).unlink(missing_ok=True)
-        self.write_run()
 
     def save(
         self,

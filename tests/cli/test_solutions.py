@@ -198,7 +198,7 @@ def test_json_is_one_object(capsys: pytest.CaptureFixture[str]) -> None:
     (line,) = capsys.readouterr().out.splitlines()
     found = json.loads(line)
     assert found["picture"] == "seen/check.png" and Path("seen/check.png").is_file()
-    assert found["sizes"] == [[[12, 16, 1]]] and found["deterministic"] is True
+    assert found["shapes"] == [[[12, 16, 1]]] and found["noise"] == 0
     assert [one["name"] for one in found["parameters"]] == ["x", "gray", "rows", "shape"]
     assert found["parameters"][0]["values"] == ["-1", "0", "1"]
     (failure,) = found["failures"]

@@ -104,7 +104,7 @@ def test_noise_hides_no_parameter_that_changes_nothing() -> None:
     assert [one.where for one in facts.effects] == ["center", "nowhere"]
     assert facts.noise is not None and 0.025 < facts.noise < 0.032  # sqrt(2) 0.02
     data = as_data("noisy", facts)
-    assert data["deterministic"] is False
+    assert data["noise"] == facts.noise
     assert "cannot be told from noise" in " ".join(data["advice"])
     assert "--until stalled" in " ".join(data["advice"])
 

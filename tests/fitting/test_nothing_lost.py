@@ -138,7 +138,7 @@ def test_any_error_has_the_result_and_all_tables(
     assert not any("written" in note for note in caught.value.__notes__)
     assert len((tmp_path / "curve.csv").read_text().splitlines()) == 21
     last = (tmp_path / "improvements.csv").read_text().splitlines()[-1]
-    assert last.split(",")[3] == repr(result.best.loss)
+    assert last.split(",")[2] == repr(result.best.loss)
 
 
 # -- a second signal -------------------------------------------------------------------------------

@@ -22,7 +22,6 @@ function numbers(state) {
   if ("best_loss" in state) rows.push(["best loss", short(state.best_loss)]);
   if ("evaluations" in state) rows.push(["renders", state.evaluations + (state.budget ? ` of ${state.budget}` : "")]);
   if ("seconds" in state) rows.push(["time", duration(state.seconds)]);
-  if ("busy" in state) rows.push(["workers busy", `${state.busy} of ${state.workers}`]);
   if (state.failures) rows.push(["failed renders", state.failures]);
   byId("numbers").replaceChildren(...rows.map(([name, value]) => {
     const box = document.createElement("div");

@@ -186,7 +186,7 @@ def _started(
             )
         if kept is not None:
             write_target(directory.path / TARGET_FILE, kept)
-        directory.begin()
+        directory.write_run()
         refused.pop_all()
     return record, searcher
 
