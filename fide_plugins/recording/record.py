@@ -192,10 +192,7 @@ class Record:
         return Solution(self.x_best.copy(), self.best_loss, self.best_evaluation)
 
     def add(self, X: Float64, images: Float32, losses: Float64) -> list[int]:
-        """Add a piece: candidates (n, dim), images (n, H, W, 3), losses (n,).
-
-        Returns the indices of the candidates that improved the best loss.
-        """
+        """Add candidates (n, dim), images (n, H, W, 3), losses (n,); indices of improvements."""
         told = zip(X, images, losses.tolist(), strict=True)
         return [i for i, one in enumerate(told) if self.add_one(*one)]
 
