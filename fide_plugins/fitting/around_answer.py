@@ -1,7 +1,8 @@
 """Renders around the answer of a fit, from which its standard deviations are computed.
 
 Two renders a number, at either side, and one of the answer itself, which tells whether the renderer
-has noise: then nothing is said.  Where the image bends, the step is the least that is claimed.
+has noise: then nothing is said.  Where the image bends, or one side is known only, a nearer step
+tells a slope from a jump; where nothing changes the step grows.  No less than a jump is claimed.
 """
 
 from __future__ import annotations
@@ -25,10 +26,11 @@ from fide_plugins.uncertainty.at_answer import deviations_at, means, pixels_toge
 __all__ = ["MOST_NUMBERS", "numbers", "std_around"]
 
 MOST_NUMBERS = 500  # of the answer, above which slopes do not fit in little memory
-_STEP = 0.005  # of the cube
+_STEP, _NEARER = 0.005, 0.2  # of the cube; times as far
 _LEAST = 0.25  # of a step, below which a wall leaves no side
 _TURN = 0.4  # of a period, the farthest step: at half of it both sides are one
 _CURVED = 0.25  # energy of the second difference beside that of the first
+_STRAIGHTER = 0.5  # of the curvature, below which the nearer step is taken
 _ANY = 12**-0.5  # standard deviation of the uniform law
 _TINY = 1e-300
 _SAME = 2e-6  # by which a GPU renders the same image again
@@ -46,8 +48,9 @@ def std_around(
 ) -> tuple[Float64 | None, int]:
     """Standard deviations (dim,) of the best candidate, None if unknown; number of renders.
 
-    most: renders, at least 1 + 2 p.  deadline: of `time.perf_counter`, when rendering stops.
-    NaN, too, where no side of the answer can be rendered.
+    most: renders, at least 1 + 4 p.  deadline: of `time.perf_counter`, when rendering stops.
+    NaN, too, where no side of the answer can be rendered.  Unknown, too, for a photograph whose
+    renders have edges that jump on most axes: slopes of jumps are too steep.
     """
     axes = numbers(optimizer)
     around = _Around(optimizer, workers, timeout, most, deadline)
@@ -55,6 +58,9 @@ def std_around(
         if not around.is_the_same_again():
             return None, around.renders
         seen = around.look({int(axis): around.either_side(axis, _STEP) for axis in axes})
+        _look_closer(around, seen)
+        if optimizer.options.photo and 2 * sum(one.least > 0 for one in seen.values()) > len(seen):
+            return None, around.renders
     except _OverError:
         return None, around.renders
     _look_farther(around, seen)
@@ -73,12 +79,47 @@ class _OverError(Exception):
 
 @dataclass(eq=False)
 class _Seen:
-    """What steps on one axis show: slopes (h, w, 3) of each view; least: what may be claimed."""
+    """What steps on one axis have shown."""
 
     slopes: list[Float64]
+    curvature: float | None
     step: float
     changed: bool
-    least: float
+    least: float = 0.0
+
+    def differs(self, other: _Seen) -> float:
+        """Energy of the difference of two slopes beside that of the greater one."""
+        pairs = list(zip(self.slopes, other.slopes, strict=True))
+        apart = sum(_energy(a - b) for a, b in pairs)
+        energies = [sum(_energy(pair[i]) for pair in pairs) for i in (0, 1)]
+        return apart / max(*energies, _TINY)
+
+
+def _look_closer(around: _Around, seen: dict[int, _Seen]) -> None:
+    """Look nearer where the image bends, or where one side is known, and replace what was seen."""
+    asked = [
+        axis
+        for axis, one in seen.items()
+        if one.changed and (one.curvature is None or one.curvature > _CURVED)
+    ]
+    found = around.look(
+        {axis: around.either_side(axis, _NEARER * seen[axis].step) for axis in asked}
+    )
+    for axis in asked:
+        far, closer = seen[axis], found.get(axis)
+        if far.curvature is None and closer is None:  # nothing tells a slope from a jump
+            del seen[axis]
+            continue
+        straight = closer is not None and closer.changed
+        if closer is not None and far.curvature is None:
+            straight &= far.differs(closer) <= _CURVED
+        elif closer is not None and far.curvature is not None:
+            bent = np.inf if closer.curvature is None else closer.curvature
+            straight &= bent < _STRAIGHTER * far.curvature
+        if straight and closer is not None:
+            seen[axis] = closer
+        else:
+            far.least = _NEARER * far.step
 
 
 def _look_farther(around: _Around, seen: dict[int, _Seen]) -> None:
@@ -194,18 +235,18 @@ class _Around:
 
     def _seen(self, below: Float32 | None, above: Float32 | None, low: float, high: float) -> _Seen:
         """What images (H, W, 3) at either side show; None: none there."""
-        at, least = self._image, 0.0
+        at, curvature = self._image, None
         if below is not None and above is not None:
             right, left = (above - at) / np.float32(high), (at - below) / np.float32(low)
             bent, straight = _energy(right - left), _energy(right + left)
-            least = max(low, high) if bent > _CURVED * max(straight, _TINY) else 0.0
+            curvature = bent / max(straight, _TINY)
         changed = any(one is not None and np.abs(one - at).max() > _SAME for one in (below, above))
         low, high = low if below is not None else 0.0, high if above is not None else 0.0
         apart = self._optimizer.views.differences(
             at if above is None else above, at if below is None else below
         )
         slopes = [one / (low + high) for one in self._reduced(apart)]
-        return _Seen(slopes, max(low, high), changed, least)
+        return _Seen(slopes, curvature, max(low, high), changed)
 
     def _reduced(self, pixels: Sequence[Float64]) -> list[Float64]:
         """Of each view (H, W, 3), means of k x k pixels."""

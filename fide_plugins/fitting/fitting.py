@@ -271,7 +271,7 @@ class Fitting:
         if best is None or best.solution.image is None or stopped in ("time", "callback"):
             return
         p, rules = len(numbers(self.optimizer)), self._stopping
-        need = 1 + 2 * p
+        need = 1 + 4 * p
         room = math.inf if rules.budget is None else max(rules.budget - done, done // _MORE)
         new = max(1, done - self._done_before)
         each = self._render_seconds / new / max(1, self._workers.number)

@@ -23,12 +23,17 @@ _REPAIRED = 5000  # points by which CMA-ES looks for a valid one
 _POPSIZE = 20
 
 
-def validity_of(space: Space | None, function: object, seed: int) -> Validity | None:
-    """Which points a run may render; arguments as of `FIDE`.  None: all."""
+def validity_of(
+    space: Space | None, function: object, seed: int, guess: Float64 | None
+) -> Validity | None:
+    """Which points a run may render; arguments as of `FIDE`.  None: all.
+
+    Raises OptionError (a ValueError), naming the constraints, if the guess (d,) is not valid.
+    """
     constraints = constraints_of(space, function)
     if constraints is None:
         return None
-    return Validity(
+    validity = Validity(
         constraints,
         constraints.explain,
         Mixed(None if space is None else space.layout).clipped,
@@ -36,6 +41,12 @@ def validity_of(space: Space | None, function: object, seed: int) -> Validity | 
         is_known=function is not constraints_not_stored,
         is_own=function is not None,
     )
+    if guess is not None and not validity.allows(guess):
+        raise OptionError(
+            f"x0 is not valid: it violates {constraints.explain(guess)}; give a valid one, or "
+            "leave it out: then the search begins at a valid point that it finds"
+        )
+    return validity
 
 
 class Validity:
@@ -85,14 +96,6 @@ class Validity:
         self.checked += len(X)
         self.rejected += int((~valid).sum())
         return valid
-
-    def check_guess(self, x0: Float64) -> None:
-        """Raise OptionError (a ValueError), naming the constraints, if x0 (d,) is not valid."""
-        if not self.allows(x0):
-            raise OptionError(
-                f"x0 is not valid: it violates {self._explain(x0)}; give a valid one, or leave it "
-                "out: then the search begins at a valid point that it finds"
-            )
 
     def sample(
         self, draw: Callable[[int], tuple[Float64, Float64]], n: int

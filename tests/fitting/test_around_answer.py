@@ -67,8 +67,8 @@ def test_a_solved_fit_knows_its_answer_well() -> None:
 
 
 def test_no_more_than_a_tenth_of_the_budget_and_none_of_a_renderer_with_noise() -> None:
-    assert fitted(GAP, 0, budget=40).std_renders == 0
-    assert fitted(GAP, 0, budget=60).std_renders >= 5
+    assert fitted(GAP, 0, budget=80).std_renders == 0
+    assert fitted(GAP, 0, budget=100).std_renders >= 5
     rng = np.random.default_rng(0)
 
     def noisy(p: Mapping[str, Any]) -> Float64:
@@ -105,7 +105,7 @@ def test_where_a_render_around_the_answer_fails_samples_say_it(wrong: str) -> No
     def render(p: Mapping[str, Any]) -> Any:
         nonlocal calls
         calls += 1
-        if calls <= 161:
+        if calls <= 162:
             return draw(p)
         if wrong == "raises":
             raise ValueError("no more")
@@ -123,7 +123,7 @@ def test_of_an_image_that_changes_in_jumps_no_more_is_claimed_than_a_step_tells(
 
     result = fit(hard, hard(TRUTH), SPACE, budget=300, workers=0, seed=0)
     error = abs(SPACE.encode(result.params)[0] - SPACE.encode(TRUTH)[0])
-    assert result.std_renders == 5 and deviations(result)[0] >= 0.005
+    assert result.std_renders == 9 and deviations(result)[0] >= 0.001
     assert result.stopped == "solved" and error < 0.5 / 31
 
 
@@ -165,7 +165,7 @@ def test_one_side_is_enough_where_the_other_fails() -> None:
         return disk(p)
 
     result = of_one(cliff, 0.6)
-    assert result.stopped == "solved" and result.std_renders >= 3
+    assert result.stopped == "solved" and result.std_renders >= 4
     assert 0 < deviations(result)[0] < 0.01
 
 
@@ -209,3 +209,18 @@ def test_ctrl_c_around_the_answer_ends_the_fit_as_it_was() -> None:
     result = of_one(interrupted, 0.6)
     assert calls == solved.evaluations + 4
     assert result.stopped == solved.stopped == "solved" and result.std_renders == 0
+
+
+def test_slopes_of_jumps_say_nothing_of_a_photograph() -> None:
+    """Pixels that are black or white jump; a search's samples say more."""
+
+    def hard(p: Mapping[str, Any]) -> Float64:
+        return np.where(np.hypot(U - p["x"], V - p["y"]) < 0.3, 0.8, 0.2)
+
+    target, space = hard({"x": 0.62, "y": 0.43}), Space(x=Float(0, 1), y=Float(0, 1))
+    found = [
+        fit(hard, target, space, budget=160, workers=0, seed=0, photo=photo)
+        for photo in (False, True)
+    ]
+    assert [one.std_renders > 0 for one in found] == [True, False]
+    assert np.isfinite(deviations(found[1])).all()

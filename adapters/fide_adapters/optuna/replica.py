@@ -194,7 +194,6 @@ class Replica:
 
     def _hand_out(self, population: Population, rng: np.random.Generator) -> list[Candidate]:
         """All candidates of a generation that remain."""
-        population.expect(population.remaining)
         self.optimizer.make_proposals(population, rng)
         return [population.hand_out() for _ in range(population.remaining)]
 

@@ -269,7 +269,6 @@ class Baseline(Saved):
         """The next n candidates; None: those that remain of a generation."""
         population = self._population
         n = n or population.remaining or self.popsize
-        population.expect(n)
         handed_out: list[Candidate] = []
         while len(handed_out) < n:
             if not population.remaining:

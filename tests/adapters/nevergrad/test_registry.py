@@ -110,7 +110,7 @@ def test_point_19_settings_reach_the_search() -> None:
     told(optimizer, 1)
     made = optimizer.fide
     assert (made.popsize, made.options.encoder, made.options.restarts) == (9, "patch", "none")
-    proposal = made.options.proposal
+    proposal = made.options
     assert (proposal.buffer_generations, proposal.channel_subsets) == (2, (3,))
 
 
