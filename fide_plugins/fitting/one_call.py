@@ -194,15 +194,12 @@ def prepare(
 ) -> Fitting:
     """Check the arguments, and make or resume a fit; nothing is rendered yet.
 
-    stopping: when it is over.  checkpoint_every: seconds between checkpoints, see
-    `CheckpointTimer`.  command: command line to record.  check: gets the optimizer before anything
-    is written, and may raise.  All others, and errors, as for `fit`.
+    stopping: when it is over.  checkpoint_every: seconds between checkpoints.  command: to record.
+    check: gets the optimizer before anything is written, and may raise.  All else as for `fit`.
     """
     _check_render(render, named=isinstance(space, Space))
-    if out == "":
-        raise OptionError("out is empty: name a folder, or leave it out to write nothing")
-    if switch("resume", resume) and out is None:
-        raise OptionError("resume=True needs the run directory: give out=DIR")
+    if out == "" or (switch("resume", resume) and out is None):
+        raise OptionError("resume=True needs the run directory, and its name: give out=DIR")
     watchers = Callbacks(callbacks)
     check_progress(progress)
     limit = None if timeout is None else seconds_of("timeout", timeout)

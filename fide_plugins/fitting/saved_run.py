@@ -280,19 +280,7 @@ def _read(path: Path, run: dict[str, Any]) -> Result:
         totals = {}
     if totals.get("evaluations") != record.evaluations:  # they are those of an earlier call
         totals = {}
-    solutions, weights = read_solutions(totals.get("solutions", []), dim, space), None
-    status = Status("unknown", "What the optimizer knew of the run is not recorded.")
-    if "status" in totals:
-        status = Status(totals["status"], totals["sentence"])
-        if not isinstance(status.sentence, str):
-            raise TypeError(f"a sentence is {status.sentence!r}")
-    if not totals or settings.get("weights") is not None:
-        with suppress(FideError):  # it needs an encoder of the user's
-            optimizer = optimizer_in(path)
-            if optimizer is not None:
-                solutions = solutions or optimizer.solutions()
-                status = status if totals else optimizer.status
-                weights = optimizer.weights
+    solutions, status, weights = _known(path, settings, totals, space)
     best = None
     if record.x_best is not None:
         known = next((one for one in solutions if np.array_equal(one.x, record.x_best)), None)
@@ -324,6 +312,25 @@ def _read(path: Path, run: dict[str, Any]) -> Result:
         out=path,
         **histories(record, dim),
     )
+
+
+def _known(
+    path: Path, settings: dict[str, Any], totals: dict[str, Any], space: Space | None
+) -> tuple[list[Solution], Status, Any]:
+    """Solutions, status and weights: of the totals, else of the optimizer."""
+    solutions = read_solutions(totals.get("solutions", []), int(settings["dim"]), space)
+    status = Status("unknown", "What the optimizer knew of the run is not recorded.")
+    if "status" in totals:
+        status = Status(totals["status"], totals["sentence"])
+        if not isinstance(status.sentence, str):
+            raise TypeError(f"a sentence is {status.sentence!r}")
+    if not solutions or settings.get("weights") is not None:
+        with suppress(FideError):  # it needs an encoder of the user's
+            optimizer = optimizer_in(path)
+            if optimizer is not None:
+                status = status if "status" in totals else optimizer.status
+                return solutions or optimizer.solutions(), status, optimizer.weights
+    return solutions, status, None
 
 
 def unpacked(image: Float32, views: Any) -> Any:
