@@ -200,11 +200,10 @@ def prepare(
     _check_render(render, named=isinstance(space, Space))
     if out == "" or (switch("resume", resume) and out is None):
         raise OptionError("resume=True needs the run directory, and its name: give out=DIR")
-    watchers = Callbacks(callbacks)
     check_progress(progress)
     limit = None if timeout is None else seconds_of("timeout", timeout)
     number = default_number(executor) if workers is None else whole_number("workers", workers, 0)
-    options = dict(options or {})
+    watchers, options = Callbacks(callbacks), dict(options or {})
     check_names(options, _GIVEN, "is no option of the optimizer, but an argument of the fit")
     number_of_parameters("space", space.dim if isinstance(space, Space) else space)
     if seed is None and out is not None and resume:

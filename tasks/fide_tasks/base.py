@@ -22,7 +22,7 @@ Image = NDArray[np.float32]  # (H, W, 3), or (n, H, W, 3) for a batch; values in
 Vector = NDArray[np.float64]
 
 _REFERENCE_FRAMES = 64  # frames of a noisy task whose mean is the reference
-_RESERVED = 2**100  # first noise seed of `reference` and `noise_level`
+_RESERVED = 2**100  # first noise seed of `reference`
 
 
 class Parameter(NamedTuple):
@@ -115,21 +115,6 @@ class Task(ABC):
         self._render(self._physical(x), out, self._noise_seeds(len(x), seed))
         return out
 
-    def noise_level(self, x: ArrayLike, frames: int = 16) -> Image:
-        """Estimate the standard error of a render of x, (dim,), per pixel: float32 (H, W, 3).
-
-        It is the standard deviation of `frames` renders, at least 2, with independent noise (the
-        same at each call), in units of the image; zero for a task without noise. A few frames miss
-        rare bright paths, so most pixels look less noisy than they are: average the square over the
-        image, or use more than a hundred frames.
-        """
-        values = self._one(x)
-        whole_number("frames", frames, minimum=2)
-        if not self.stochastic:
-            return np.zeros(self.shape, np.float32)
-        deviation: Image = self._frames(values, frames).std(axis=0, ddof=1)
-        return deviation
-
     def reference(self, x: ArrayLike) -> Image:
         """Render the reference image of x, (dim,): float32 (H, W, 3) with little or no noise.
 
@@ -168,10 +153,6 @@ class Task(ABC):
         from fide_tasks.named import space_of
 
         return space_of(self.parameters, self.alike)
-
-    def advice(self, loss: str) -> str | None:
-        """Say why another loss, or other options, would do better than this one; None for none."""
-        return None
 
     def check(self) -> None:
         """Render one frame to check that the task works on this machine; raises its error."""

@@ -43,11 +43,7 @@ def common(one: Distributions, other: Distributions) -> dict[str, BaseDistributi
 
 
 def _by_name(name: str) -> tuple[tuple[str, int], ...]:
-    """Key to sort names by: as text, but the whole numbers in them as numbers.
-
-    >>> sorted(["x10", "x9", "a"], key=_by_name)
-    ['a', 'x9', 'x10']
-    """
+    """Key to sort names by: as text, but the whole numbers in them as numbers."""
     parts = re.split(r"([0-9]+)", name)  # text and numbers in turn
     return tuple((t, int(n or 0)) for t, n in zip(parts[::2], [*parts[1::2], ""], strict=True))
 

@@ -17,27 +17,6 @@ from optuna.trial import FrozenTrial, Trial
 
 from fide_plugins.runtime.messages import warn_user
 
-__all__ = [
-    "ASK",
-    "IMAGE",
-    "MOST_NAMED",
-    "SEED",
-    "Ask",
-    "Trials",
-    "WarnOnce",
-    "id_of",
-    "problem_of",
-    "read_ask",
-    "read_image",
-    "read_seed",
-    "read_trials",
-    "storage_of",
-    "write_ask",
-    "write_attribute",
-    "write_image",
-    "write_seed",
-]
-
 ASK, IMAGE, SEED = "fide:ask", "fide:image", "fide:seed"
 
 MOST_NAMED = 8

@@ -62,6 +62,12 @@ class _Channel:
         else:
             self.points.put(None)
 
+    def cancel(self, thread: threading.Thread) -> None:
+        """End the search and its thread."""
+        self.answers.put(_Cancelled())
+        if thread is not threading.current_thread():
+            thread.join()
+
 
 class ReverseCommunication:
     """A search that waits at each point for its value.
@@ -73,9 +79,9 @@ class ReverseCommunication:
     def __init__(
         self, search: Search, around: Callable[[], AbstractContextManager[Any]] = nullcontext
     ) -> None:
-        self._search, self._around = search, around
-        self._channel = _Channel()
-        self._thread: threading.Thread | None = None
+        self._around, self._channel = around, _Channel()
+        work = self._channel.work
+        self._thread = threading.Thread(target=work, args=(search,), daemon=True)
         self._end: weakref.finalize[..., Any] | None = None
         self._point: Float64 | None = None
         self._running = False  # whether the search works; still so after Ctrl-C in the meantime
@@ -87,10 +93,8 @@ class ReverseCommunication:
 
         Raises whatever the search raised.
         """
-        if self._thread is None:
-            work = self._channel.work
-            self._thread = threading.Thread(target=work, args=(self._search,), daemon=True)
-            self._end = weakref.finalize(self, _cancel, self._channel, self._thread)
+        if self._end is None:
+            self._end = weakref.finalize(self, self._channel.cancel, self._thread)
             self._go_on(self._thread.start)
         if self._running:  # Ctrl-C came while it was waited for
             with self._around():
@@ -99,17 +103,10 @@ class ReverseCommunication:
 
     def answer(self, value: Any) -> None:
         """Give the value at the point, and let the search go on to its next one."""
-        self._go_on(lambda: self._channel.answers.put(value))
-
-    def close(self) -> None:
-        """End the search and its thread; there is no further point."""
-        if self._end is not None:
-            self._end()
-        self._point, self.over = None, True
+        if not self.over:
+            self._go_on(lambda: self._channel.answers.put(value))
 
     def _go_on(self, start: Callable[[], None]) -> None:
-        if self.over:
-            return
         with self._around():
             self._running = True
             start()
@@ -122,12 +119,6 @@ class ReverseCommunication:
         self.over = self._point is None
         if isinstance(point, BaseException):
             raise point
-
-
-def _cancel(channel: _Channel, thread: threading.Thread) -> None:
-    channel.answers.put(_Cancelled())
-    if thread is not threading.current_thread():
-        thread.join()
 
 
 class Sequential(Baseline):
@@ -149,15 +140,12 @@ class Sequential(Baseline):
             self.popsize = 1
         self.starts = 0  # searches begun so far
         self._penalty = Penalty()
+        self._global_random = GlobalRandom(self.seed)
         self._library: ReverseCommunication | None = None
 
     def _search(self) -> Search:
         """The next search, of which `starts` were begun before; it must not refer to self."""
         raise NotImplementedError
-
-    def _surroundings(self) -> Callable[[], AbstractContextManager[None]]:
-        """What to enter whenever the search goes on; like it, it must not refer to self."""
-        return quietly
 
     def _answer(self, loss: float, features: Float32 | None) -> Any:
         """What the library's function returns."""
@@ -167,7 +155,7 @@ class Sequential(Baseline):
         """Point (1, dim) whose value the search waits for; begins a search if there is none."""
         for _ in range(2):  # a search that is over is followed by another, which has a point
             if self._library is None or self._library.over:
-                self._library = ReverseCommunication(self._search(), self._surroundings())
+                self._library = ReverseCommunication(self._search(), self._global_random.lent)
                 self.starts += 1
             point = self._library.point()
             if point is not None:
@@ -193,23 +181,21 @@ class GlobalRandom:
         self._numpy = np.random.RandomState(bits).get_state()
 
     @contextmanager
-    def lent(self) -> Iterator[None]:
-        """The library may draw; afterwards the user's own states are as they were."""
+    def lent(self, silent: bool = True) -> Iterator[None]:
+        """The library may draw; afterwards the user's own states are as they were.
+
+        silent: whether its warnings are dropped.
+        """
         users = random.getstate(), np.random.get_state()
         random.setstate(self._python)
         np.random.set_state(self._numpy)
         try:
-            yield
+            with quietly() if silent else nullcontext():
+                yield
         finally:
             self._python, self._numpy = random.getstate(), np.random.get_state()
             random.setstate(users[0])
             np.random.set_state(users[1])
-
-    @contextmanager
-    def lent_quietly(self) -> Iterator[None]:
-        """The same, without the library's warnings."""
-        with self.lent(), quietly():
-            yield
 
 
 class DualAnnealing(Sequential):
@@ -316,7 +302,6 @@ class DFOLS(ImageBased, Sequential):
             raise missing("dfols", "dfols needs the package DFO-LS") from error
         self.radius = float(radius)
         self._rng = np.random.default_rng(self.seed)
-        self._global_random = GlobalRandom(self.seed)
 
     def _search(self) -> Search:
         if self.starts == 0:
@@ -330,9 +315,6 @@ class DFOLS(ImageBased, Sequential):
         wrong = features.astype(np.float64) - self.target_features
         residuals: Float64 = wrong / np.sqrt(len(wrong))
         return residuals
-
-    def _surroundings(self) -> Callable[[], AbstractContextManager[None]]:
-        return self._global_random.lent_quietly
 
 
 def least_squares(function: Any, x0: Float64, radius: float) -> None:
@@ -402,7 +384,7 @@ class Framework(Baseline):
     @contextmanager
     def _guarded(self) -> Iterator[None]:
         """While the framework is at work; what it raises is said to be its own."""
-        with self._global_random.lent(), quietly():
+        with self._global_random.lent():
             try:
                 yield
             except Exception as error:

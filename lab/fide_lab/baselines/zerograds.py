@@ -33,6 +33,7 @@ from torch import Tensor, nn
 
 from fide_lab.baselines.base import Baseline
 from fide_plugins.errors import OptionError
+from fide_plugins.runtime.machine import timed
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.options import positive
 from fide_plugins.validation.points import whole_number
@@ -44,7 +45,6 @@ def make(
     build: Callable[[], M],
     generator: torch.Generator,
     dtype: torch.dtype = torch.float32,
-    device: torch.device | str = "cpu",
 ) -> M:
     """Module that `build` describes, of linear layers and layer norms, with PyTorch's usual law.
 
@@ -61,7 +61,7 @@ def make(
                 part.bias.uniform_(-bound, bound, generator=generator)
             elif isinstance(part, nn.LayerNorm):
                 part.reset_parameters()
-    return module.to(device, dtype)
+    return module.to(dtype)
 
 
 BATCH = 10  # offsets a step
@@ -162,7 +162,7 @@ class ZeroGrads(Baseline):
         learned = [x.tobytes() in self._unshifted for x in X] & np.isfinite(losses)
         points = [self._unshifted[x.tobytes()] for x in X[learned]]
         self._unshifted.clear()
-        with self._timed("train"):
+        with timed(self.times, "train"):
             self._improve_parameter()
             if points:
                 self._improve_proxy(np.array(points), losses[learned])

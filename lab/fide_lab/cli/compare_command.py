@@ -84,7 +84,7 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> Any:
         check_no_suite(args)
         plan = _plan(args)
         if args.threshold:
-            from fide_lab.report.panel import check_thresholds
+            from fide_lab.report.page import check_thresholds
 
             check_thresholds(dict(args.threshold), plan.runs())
     return prepare(

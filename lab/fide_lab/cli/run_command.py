@@ -28,7 +28,7 @@ from fide_plugins.cli.arguments import (
     setting,
     whole,
 )
-from fide_plugins.cli.terminal import complain, note
+from fide_plugins.cli.terminal import complain
 from fide_plugins.errors import OptionError
 
 __all__ = ["add_arguments", "execute"]
@@ -62,7 +62,7 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
         return complain("fide run", error)
 
     def prepare() -> harness.Run:
-        run = harness.prepare(
+        return harness.prepare(
             task,
             args.optimizer,
             args.loss,
@@ -76,9 +76,6 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
             resume=args.resume,
             command=command,
         )
-        if run.advice is not None:
-            note(run.advice)
-        return run
 
     return execute_run(args, command, prepare, task)
 

@@ -132,11 +132,7 @@ def _execute(
     stopped: Callable[[Any], tuple[str, str]],
     failed: str,
 ) -> int:
-    """Prepare and execute; whatever goes wrong becomes messages and an exit code.
-
-    stopped: what is saved where, and the command that continues, after an interrupt; none if empty.
-    failed: begins the message where rendering or saving fails.
-    """
+    """Prepare and execute; whatever goes wrong becomes messages and an exit code."""
     from fide_lab.run import Interrupted
 
     who = f"fide {command[1]}"

@@ -130,9 +130,10 @@ def grid(panel: Panel, target: Path) -> Figure:
 
 
 def _chosen(row: Row) -> Sequence[tuple[str, StoredRun]]:
-    """The best, the median and the worst run; two of two runs, one of one."""
+    """The best, median (of two the better) and worst run; two of two runs, one of one."""
     ranked = row.ranked
-    chosen = [("best", ranked[0]), ("median", row.typical), ("worst", ranked[-1])]
+    typical = ranked[(len(ranked) - 1) // 2]
+    chosen = [("best", ranked[0]), ("median", typical), ("worst", ranked[-1])]
     return chosen if len(ranked) > 2 else chosen[:1] if len(ranked) == 1 else chosen[::2]
 
 
@@ -190,10 +191,7 @@ def _titles(axes: Any, x: str, y: str) -> None:
 
 
 def _scale(axes: Any, which: str, values: Float64) -> None:
-    """Logarithmic axis around the positive values, if there are any; zero lies below the plot.
-
-    Labels are decimal (0.01, not a power of ten); a short range has more of them.
-    """
+    """Logarithmic axis around the positive values, if there are any; zero lies below the plot."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     positive = values[(values > 0) & np.isfinite(values)]

@@ -1,12 +1,9 @@
 """Runs of tasks whose target the renderer did not draw: what is compared, and what judges.
 
-The loss that is minimized does not say who is right: of two comparisons of the same pictures each
-has its own.  So the task says how wrong a point is (`TaskInfo.error`), which no optimizer sees.
-
-FIDE is told images and compares them itself, by its options (``photo=True``).  Any other optimizer
-is told images and losses as ``photo=True`` would compare them: with robust differences and the
-coverage, and with the kind of light set aside that the task says has changed.  FIDE is not told
-which.
+Of two comparisons of the same pictures each has its own loss, so the task says how wrong a point is
+(`TaskInfo.error`), which no optimizer sees.  FIDE is told images and compares them itself.  Any
+other optimizer is told images and losses as ``photo=True`` would compare them, and with the kind of
+light set aside that the task says has changed.
 """
 
 from __future__ import annotations

@@ -1,15 +1,12 @@
 """A run of a task: generations, rendered in pieces, until the budget is spent.
 
 The loop is that of `fit` (`fide_plugins.fitting.loop`).  It asks for a whole generation, which is
-rendered in pieces of a fixed size, so that results arrive and can be saved before a slow generation
-is complete.  A user's renderer makes one image after the other, so each is told at once: an
-interrupt or a failure loses no other.  The size is fixed because the same seed must give the same
-run: a size that depends on the renderer's speed would change the last bits of features that are
-computed in batches.  FIDE's steps between two generations come one at a time (`FIDE.ask_ready`).
+rendered in pieces of a fixed size (one image, of a user's renderer), so that results can be saved
+before a slow generation is complete.  The size is fixed because the same seed must give the same
+run: another one changes the last bits of features that are computed in batches.
 
-Resuming gives the result of an uninterrupted run, bit for bit.  The state is saved only between
-pieces, together with the pending candidates, and each evaluation of a noisy renderer has its own
-seed.
+Resuming gives the result of an uninterrupted run, bit for bit: the state is saved only between
+pieces, with the pending candidates, and each evaluation of a noisy renderer has its own seed.
 
 The lowest of many noisy losses is biased low.  So at the end the best candidate, and the candidate
 that the optimizer recommends, are rendered again by the task's `reference`.
@@ -109,11 +106,6 @@ class Run:
             self._foreign = Foreign(self._info, target, settings["loss"], optimizer)
 
     @property
-    def advice(self) -> str | None:
-        """What the task advises for this loss; None for nothing."""
-        return None if self._info.advice is None else self._info.advice(self.loss.name)
-
-    @property
     def out(self) -> Path | None:
         """Run directory, if there is one."""
         return None if self._directory is None else self._directory.path
@@ -156,7 +148,15 @@ class Run:
                     note_unsaved(error, unsaved)
                 raise
             interrupts.block()
-            return self._finish(verdict)
+            result = self._result(verdict)
+            if self._directory is not None:
+                self._directory.write_reference(result)
+                if self._keep.summary:
+                    self._directory.write_summary(result, self.target)
+                self._directory.write_run("finished", result)
+                if not self._keep.checkpoint:
+                    remove_checkpoint(self._directory.path)
+            return result
 
     # -- steps of the loop -------------------------------------------------------------------------
 
@@ -181,24 +181,18 @@ class Run:
         if self._foreign is not None:
             self._loop.whole = False
             batch, losses = self._foreign.tell(self.optimizer, X, images, record)
-            self._loop.tick()
-            return self._enter(X, batch, losses)
-        try:
-            batch = as_batch(images, self.target.shape, n=len(X), on_clip=self._clipping)
-            losses = self.loss.compute(batch)
-        except BaseException:
-            self._loop.put_back(X)
-            raise
-        record.times["encode"] += time.perf_counter() - start
-        self._loop.whole = False
-        with record.timing(self.optimizer):
-            self.optimizer.tell(X, batch, losses)
+        else:
+            try:
+                batch = as_batch(images, self.target.shape, n=len(X), on_clip=self._clipping)
+                losses = self.loss.compute(batch)
+            except BaseException:
+                self._loop.put_back(X)
+                raise
+            record.times["encode"] += time.perf_counter() - start
+            self._loop.whole = False
+            with record.timing(self.optimizer):
+                self.optimizer.tell(X, batch, losses)
         self._loop.tick()
-        return self._enter(X, batch, losses)
-
-    def _enter(self, X: Float64, batch: Float32, losses: Float64) -> bool:
-        """Record what was told; whether it holds the best loss so far."""
-        record = self.record
         improved = record.add(X, batch, losses)
         with self._loop.not_counted():
             self._observe(batch, improved)
@@ -257,26 +251,10 @@ class Run:
             with suppress(Exception):  # of a record that is not whole; the totals matter more
                 self._directory.write_tables(r, r.image)
                 self._directory.write_target(self.target)
-        found = self.target, self.loss, r.x_best, r.image
-        try:
-            seen = judge(None, *found, metrics=self._metrics)
-        except Exception:  # of the metric that has ended the run
-            seen = judge(None, *found)
-        result = self._result(seen)
+        result = self._result(judge(None, self.target, self.loss, r.x_best, r.image))
         self._directory.write_run(state, result)
         if state == "interrupted" and self._keep.summary and r.evaluations:
             self._directory.write_summary(result, self.target)
-
-    def _finish(self, verdict: Verdict) -> RunResult:
-        result = self._result(verdict)
-        if self._directory is not None:
-            self._directory.write_reference(result)
-            if self._keep.summary:
-                self._directory.write_summary(result, self.target)
-            self._directory.write_run("finished", result)
-            if not self._keep.checkpoint:
-                remove_checkpoint(self._directory.path)
-        return result
 
     def _judge(self) -> Verdict:
         r, reference = self.record, self._info.reference
@@ -325,15 +303,15 @@ def judge(
     x_recommended: Float64 | None = None,
     metrics: Mapping[str, ImageLoss] | None = None,
 ) -> Verdict:
-    """Evaluate the best candidate and, if given, the recommended candidate, without noise.
+    """Evaluate the best and, if given, the recommended candidate, by `TaskInfo.reference`.
 
-    reference: of the task, see `TaskInfo`.  metrics: other losses by name, for the best one.
+    metrics: other losses by name, for the best one.
     """
     if x_best is None or image is None:
         return Verdict()
     best = image if reference is None else as_target(reference(x_best))
     value, others = _loss(loss, best), {k: _loss(m, best) for k, m in (metrics or {}).items()}
-    mse = float(losses_module.make("mse", target)(best[None])[0])
+    mse = _loss(losses_module.make("mse", target), best)
     if reference is None:
         return Verdict(best, value, mse, metrics=others)
     recommended = value

@@ -206,7 +206,7 @@ def test_options_are_those_of_the_constructor() -> None:
 
 
 def test_too_few_candidates() -> None:
-    with pytest.raises(PointsError, match=r"must return candidates of the shape \(6, 2\).* 5 rows"):
+    with pytest.raises(PointsError, match=r"must return candidates of shape \(6, 2\).* 5 rows"):
         optimizers.make("mine.py:Few", 2).ask()
 
 

@@ -76,23 +76,6 @@ def test_all_of_it_survives_an_interruption(tmp_path: Path) -> None:
     assert without_seconds[0] == without_seconds[1]
 
 
-def test_watching_takes_none_of_the_run_s_time() -> None:
-    import time
-
-    class Slow:
-        name = "slow"
-
-        def compute(self, batch: Any) -> Any:
-            time.sleep(0.05)
-            return np.zeros(len(batch))
-
-    run = harness.prepare(Tint(), "random", budget=40, keep=Keep())
-    run._metrics = {"slow": Slow()}  # type: ignore[dict-item]
-    start = time.perf_counter()
-    result = run.execute()
-    assert result.wall_s + 0.05 <= time.perf_counter() - start
-
-
 @pytest.mark.parametrize(
     ("candidates", "message"),
     [

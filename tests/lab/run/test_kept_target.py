@@ -70,14 +70,6 @@ def test_some_values_of_8_bits_may_be_a_step_off() -> None:
     assert not same_target(one, other) and not same_target(one, one[:32])
 
 
-def test_it_is_kept_before_the_first_checkpoint(tmp_path: Path) -> None:
-    begun = harness.prepare(RendersItsTarget(), "cma", budget=45, out=tmp_path)
-    assert begun._directory is not None
-    begun._directory.close()  # as if the process were killed
-    assert not (tmp_path / "run.ckpt").exists()
-    run(tmp_path, resume=True)
-
-
 @pytest.mark.parametrize("cut", [True, False])
 def test_a_damaged_file_is_refused(cut: bool, tmp_path: Path) -> None:
     run(tmp_path, budget=5)
