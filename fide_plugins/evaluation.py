@@ -14,7 +14,7 @@ import torch
 from fide_plugins import encoders
 from fide_plugins.comparison.comparison import Comparison, checked
 from fide_plugins.comparison.coverage import with_coverage, without_coverage
-from fide_plugins.encoders.base import PatchEncoder
+from fide_plugins.encoders.base import PatchEncoder, as_features
 from fide_plugins.encoders.own import OwnEncoder
 from fide_plugins.errors import CheckpointError, FeaturesError, LossError
 from fide_plugins.losses.base import as_losses
@@ -23,7 +23,6 @@ from fide_plugins.runtime.devices import resolve_device
 from fide_plugins.runtime.schema import anything, check
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.pixels import Clipping, OnClip
-from fide_plugins.validation.tensors import as_features
 from fide_plugins.views import Views
 from fide_plugins.views.encoder import encoder_of
 from fide_plugins.views.loss import loss_of

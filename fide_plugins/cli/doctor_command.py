@@ -12,7 +12,7 @@ from typing import Any
 
 from fide_plugins.cli.terminal import plain
 from fide_plugins.runtime import laboratory, machine
-from fide_plugins.runtime.machine import EXTRAS, install_command, opencv_collision
+from fide_plugins.runtime.machine import EXTRAS, install_command
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,9 +35,9 @@ def examine(everything: bool = True) -> dict[str, Any]:
     """Versions, machine, and for each name None or the reason why it cannot be used."""
     import torch  # noqa: F401  `machine` reports devices only if it is imported
 
+    opencv = None
     try:
         import_module("fide_plugins.runtime.opencv")
-        opencv = opencv_collision()
     except ImportError as error:
         opencv = plain(error)
     return {
@@ -84,7 +84,6 @@ def _text(facts: dict[str, Any]) -> str:
 
 KINDS = ("tasks", "optimizers", "encoders", "losses")
 WITH_WEIGHTS = ("encoders", "losses")  # kinds that may need weights; to try them takes seconds
-_VARIANTS = {"losses": ("lpips:vgg",)}  # variants with their own weights
 _SIDE = 32  # pixels, side of the test images
 
 
@@ -103,10 +102,10 @@ def problems(kind: str) -> dict[str, str | None]:
     """For each name of a kind: None if it can be used here, otherwise the reason why not.
 
     Each task renders a frame, each encoder and each loss processes an image, each optimizer
-    proposes candidates.  Variants with their own weights are tried too.  Nothing is downloaded.
+    proposes candidates.  Nothing is downloaded.
     """
     results: dict[str, str | None] = {}
-    for name in sorted({*names(kind), *_VARIANTS.get(kind, ())}):
+    for name in names(kind):
         try:
             _try(kind, name)
             results[name] = None

@@ -8,8 +8,9 @@
 --renderer is FILE.py:NAME (or module:NAME), a function of a dictionary of parameters that returns
 an image, or a list of images for several targets. The parameters are `space = Space(...)` in that
 file, or --space. --command runs a program for each image, without a shell: {out} is the name of the
-image that it writes, {NAME} a parameter, {NAME:.3f} the same in a format. For several targets, give
---command several times.
+image that it writes, {NAME} a parameter, {NAME:.3f} the same in a format; with {width}, {height}
+and {samples} a fit begins with small pictures of few samples, and {seed} is another one for each
+image. For several targets, give --command several times.
 
 Several targets are views of one scene: give --mask once for each, too, or once for all if they have
 one size. --live opens a page in the browser that shows how far the fit is; `fide watch DIR` does so
@@ -76,7 +77,7 @@ _OF_MODELS = ("cells", "control_points", "model_set", "optimizer", "start")
 """Arguments that no renderer of a user has."""
 _OF_RENDERERS = (
     "space", "workers", "timeout", "mask", "weights", "time", "stop_at", "until",
-    "encoder", "learned", "max_failures", "value_range", *_COMPARISON,
+    "encoder", "learned", "max_failures", "value_range", "samples", *_COMPARISON,
 )  # fmt: skip
 """Arguments that no model has."""
 _BUDGET = 2000
@@ -118,6 +119,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--until", choices=("solved", "stalled", "budget"),
         help="stop also when solved, or when nothing more is to be expected; budget: by other "
         "limits alone (solved)")  # fmt: skip
+    add("--samples", type=whole(1), metavar="N",
+        help="most samples of a pixel, if it takes samples (its default, or 64)")  # fmt: skip
     add("--max-failures", type=float, metavar="SHARE", help="of the last 50 renders (1: any)")
     add("--encoder", metavar="NAME", help="see: fide list encoders (the preset's)")
     add("--learned", metavar="MODEL", help="model of: fide learn")
@@ -247,7 +250,8 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
     workers = default_number() if args.workers is None else args.workers
     out = free_directory(args, Path(args.targets[0]).stem)
 
-    renders = Renders(render, workers, timeout)
+    renders = Renders(render, workers, timeout, args.samples)
+    share = 1.0 if share is None else positive_fraction("max_failures", share)
 
     def check(optimizer: FIDE) -> None:
         if read_run(out) is None:
@@ -267,7 +271,8 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
         command=command,
         progress=True if sys.stderr.isatty() else lines("fide fit"),
         check=check,
-        max_failures=1.0 if share is None else positive_fraction("max_failures", share),
+        fidelity=renders.fidelity,
+        max_failures=share,
     )
     return fitting, out, renders
 
@@ -321,6 +326,7 @@ def _summary(result: Any, out: Path) -> dict[str, Any]:
         "status": result.status.code,
         "stopped": result.stopped,
         "failures": result.failures,
+        "cost": result.cost,
         "clipped": result.clipped,
     }
 
@@ -345,7 +351,10 @@ def _report(result: Result, out: Path) -> None:
     if result.rejected:
         failed += f", {result.rejected:.0%} of the candidates rejected by constraints"
     stopped = f"stopped: {result.stopped.replace('_', '-')}"
-    print(f"{result.evaluations} renders in {duration(result.seconds)}, {stopped}{failed}")
+    coarse = (
+        "" if result.cost == result.evaluations else f" (as dear as {result.cost:.0f} full ones)"
+    )
+    print(f"{result.evaluations} renders{coarse} in {duration(result.seconds)}, {stopped}{failed}")
     if result.best is None:
         print("there is no image with a finite loss; fide check looks at the renderer")
         return

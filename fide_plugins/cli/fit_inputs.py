@@ -6,13 +6,14 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from fide_plugins.errors import ImageError, OptionError, RenderError
+from fide_plugins.fitting.fidelity import Fidelity, schedule_for
 from fide_plugins.fitting.pictures import canonical
 from fide_plugins.fitting.rendering import Outcome, Rendered, Renderer
 from fide_plugins.fitting.workers import gathered, workers_for
 from fide_plugins.types import Float64
 from fide_plugins.validation.image_files import read_pixels, shrunk
 from fide_plugins.validation.options import seconds_of
-from fide_plugins.views.given import joined, one_a_view, read_weights
+from fide_plugins.views.views import joined, one_a_view, read_weights
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
@@ -75,18 +76,26 @@ def pictures(
 class Renders:
     """Renders points outside of the loop, as a fit renders them.
 
-    render, workers, timeout: as for `fit`.
+    render, workers, timeout: as for `fit`.  samples: most of a pixel; images are the finest.
     """
 
     def __init__(
-        self, render: Callable[[Any], object], workers: int, timeout: float | str | None
+        self,
+        render: Callable[..., object],
+        workers: int,
+        timeout: float | str | None,
+        samples: int | None = None,
     ) -> None:
         self._render, self._workers = render, workers
+        self.fidelity = None if samples is None else Fidelity((32, 2**16), (1, samples))
         self._limit = None if timeout is None else seconds_of("timeout", timeout)
 
     def __call__(self, optimizer: FIDE, X: Float64) -> list[Outcome]:
         """Outcomes of points (n, dim); the start of a worker is no time of its render."""
-        renderer = Renderer(self._render, optimizer.space, raw=optimizer.value_range is not None)
+        schedule = schedule_for(self._render, self.fidelity, optimizer)
+        keywords = {} if schedule is None else schedule.finest()
+        raw = optimizer.value_range is not None
+        renderer = Renderer(self._render, optimizer.space, raw, keywords)
         pool = workers_for(renderer, min(self._workers, len(X)), None, self._limit)
         try:
             return list(gathered(pool, X, self._limit))

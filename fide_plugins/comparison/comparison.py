@@ -21,8 +21,7 @@ from fide_plugins.comparison.light import (
 from fide_plugins.losses.base import ImageLoss
 from fide_plugins.runtime.schema import check, real, text
 from fide_plugins.types import Float32, Float64
-from fide_plugins.views.view import View
-from fide_plugins.views.views import Views
+from fide_plugins.views.views import View, Views
 
 __all__ = ["Compared", "Comparison"]
 

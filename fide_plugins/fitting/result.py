@@ -55,14 +55,9 @@ class Result:
     stopped: why it ended: "solved", "noise", "stalled" (see `fit`), "budget", "time", "stop_at",
         "callback", "interrupted" or "failed"; of a run that was read also "running", "finished".
     out: run directory; None without.
-    <<<<<<< HEAD
+    cost: of all renders, in full ones, by pixels times samples; see `Fidelity`.
     std_renders: renders around the answer, beside the evaluations, from which `best.std` is
         computed; 0: it is rough, from samples of the search, or was read.
-    =======
-    cost: of all renders, in full ones, by pixels times samples; see `Fidelity`.
-    std_renders: renders around the answer at the end, beside the evaluations, from which
-        `best.std` is computed; 0: it is rough, from samples of the search, or was read.
-    >>>>>>> main
     value_range: values of target and images that are black and white; None: 0 and 1.
     compared: best image as it is compared, where that is another picture than `best.image`.
     unsaved: what `save` writes, of a fit that has just ended.
@@ -168,7 +163,9 @@ class Result:
         )
         more = f"<p>... {len(table) - _MOST} more</p>" if len(table) > _MOST else ""
         more += f"<p>{ROUGH}</p>" if best is not None and is_rough(best) else ""
-        facts = f"{self.evaluations:,} renders in {self.seconds:.1f} s, stopped: {self.stopped}"
+        facts = f"{self.evaluations:,} renders in {self.seconds:.1f} s"
+        facts += f", as dear as {self.cost:,.0f} full ones" * (self.cost != self.evaluations)
+        facts += f", stopped: {self.stopped}"
         facts += f", {self.failures:,} renders failed" if self.failures else ""
         return (
             f"<div><p><b>{escape(str(self.status))}</b><br>{escape(facts)}</p>"

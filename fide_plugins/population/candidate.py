@@ -11,9 +11,8 @@ from operator import attrgetter
 from typing import Any
 
 import numpy as np
-from torch import Tensor, as_tensor, device
+from torch import Tensor, as_tensor, device, stack
 
-from fide_plugins.runtime.devices import stack
 from fide_plugins.runtime.schema import (
     Schema,
     Sides,

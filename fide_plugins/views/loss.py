@@ -21,8 +21,7 @@ from fide_plugins.runtime.registry import name_of
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.pixels import warn_clipped
-from fide_plugins.views.view import View
-from fide_plugins.views.views import Views
+from fide_plugins.views.views import View, Views
 
 __all__ = ["CallableOfViews", "LossOfViews", "loss_of"]
 
@@ -53,11 +52,10 @@ def loss_of(
                 f"the loss {loss.name!r} was made for one target, and there are "
                 f"{len(views.views)} views; pass its name, or a function of a list of batches"
             )
-        of_one, view = losses.resolve(loss, views.target), views.views[0]
-        spec = of_one.spec
-        if spec is not None and view.weights is not None:  # as a checkpoint makes it again
-            of_one = _of_view(spec, view, device)
-        return LossOfViews(views, [of_one], spec)
+        made, view = losses.resolve(loss, views.target), views.views[0]
+        if made.spec is not None:  # as a checkpoint makes it again
+            made = _of_view(made.spec, view, device)
+        return LossOfViews(views, [made], made.spec)
     if not callable(loss):
         return losses.resolve(loss, views.target)  # raises
     several = CallableOfViews(views, loss)
@@ -77,21 +75,7 @@ def _of_view(name: str, view: View, device: str | torch.device | None) -> ImageL
     return _tried(losses.resolve(name, view.filled, device=device), view.filled)
 
 
-class _OfViews:
-    """What the losses below share: named in `version`, called with what `FIDE.tell` takes."""
-
-    views: Views
-
-    def __call__(self, images: object) -> Float64:
-        """Losses (n,) of images, after validation."""
-        return self.compute(self.views.as_batch(images, None, warn_clipped))
-
-    def compute(self, batch: Float32) -> Float64:
-        """Losses (n,) of packed renders, without further checks."""
-        raise NotImplementedError
-
-
-class LossOfViews(_OfViews):
+class LossOfViews:
     """Mean of the views' losses, each divided by the mean of its weights.
 
     each: loss of each view, in order, of `View.filled`.  One that knows the weights is not divided.
@@ -102,6 +86,10 @@ class LossOfViews(_OfViews):
         self.views, self._each, self.spec = views, each, spec
         self.name, version = each[0].name, each[0].version
         self.version = None if version is None else version + views.version
+
+    def __call__(self, images: object) -> Float64:
+        """Losses (n,) of images, as `FIDE.tell` takes them."""
+        return self.compute(self.views.as_batch(images, None, warn_clipped))
 
     def compute(self, batch: Float32) -> Float64:
         """Losses (n,) of packed renders, without further checks."""
@@ -118,7 +106,7 @@ class LossOfViews(_OfViews):
         return values
 
 
-class CallableOfViews(_OfViews):
+class CallableOfViews:
     """A user's function of what is seen of the views, with checks of its values."""
 
     version = None
@@ -126,6 +114,10 @@ class CallableOfViews(_OfViews):
 
     def __init__(self, views: Views, function: Callable[..., object]) -> None:
         self.views, self.name, self._function = views, name_of(function), function
+
+    def __call__(self, images: object) -> Float64:
+        """Losses (n,) of images, as `FIDE.tell` takes them."""
+        return self.compute(self.views.as_batch(images, None, warn_clipped))
 
     @user_threads
     def compute(self, batch: Float32) -> Float64:

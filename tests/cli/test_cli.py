@@ -162,7 +162,6 @@ def test_list_says_what_is_missing(no_weights: Path, capsys: pytest.CaptureFixtu
     for kind, name, needs in [
         ("encoders", "vgg19", "no weights of VGG-19 at"),
         ("losses", "lpips", "no weights of AlexNet at"),
-        ("losses", "lpips:vgg", "no weights of VGG-16 at"),
     ]:
         assert fide("list", kind) == 0
         (line,) = (x for x in capsys.readouterr().out.splitlines() if x.split()[0] == name)

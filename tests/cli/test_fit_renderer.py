@@ -201,8 +201,8 @@ RENDERER = ["target.png", "--renderer"]
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ([*RENDERER, "scene.py"], "scene.py is a file, not a function; its functions: render"),
-        ([*RENDERER, "scene.py:rendr"], "has no 'rendr'; .*did you mean 'render'"),
+        ([*RENDERER, "scene.py"], "no renderer 'scene.py'.*; it has render"),
+        ([*RENDERER, "scene.py:rendr"], "'rendr' in .*scene.py must be .*it has render"),
         ([*RENDERER, "broken.py:render"], "(?s)cannot be imported.*line 1.*ZeroDivisionError"),
         (["no.png", *RENDERER[1:], "scene.py:render"], "no image file at 'no.png'"),
         (

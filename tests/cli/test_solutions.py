@@ -231,7 +231,7 @@ def test_a_renderer_that_never_gives_an_image(capsys: pytest.CaptureFixture[str]
     ("words", "message"),
     [
         ([], "one of the arguments RENDERER --command is required"),
-        (["scene.py:rendr"], "did you mean 'render'"),
+        (["scene.py:rendr"], "it has render"),
         (["no.py:render"], "did you mean 'scene.py'"),
         (["nope"], "no task is named 'nope'"),
         (["--command", "ls {out}"], "--command needs --space FILE.toml"),

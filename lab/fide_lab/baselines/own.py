@@ -34,9 +34,7 @@ __all__ = ["Own", "own"]
 
 _REFERENT = Referent(
     "optimizer",
-    "class",
     "a class with ask and tell",
-    "classes",
     "write FILE.py:NAME or module:NAME, such as mine.py:Search; nevergrad:NAME, optuna:NAME; or a "
     "name of: fide list optimizers",
 )
