@@ -145,7 +145,7 @@ def test_a_run_with_an_encoder_of_one_s_own(
     first, *_ = json.loads(capsys.readouterr().out)
     assert result.best is not None and first["loss"] == result.best.loss
     assert first["params"] == result.params
-    for other, message in {"others": "encoder", "block": "did you mean 'blocks'?"}.items():
+    for other, message in {"others": "encoder", "block": "it has blocks"}.items():
         assert fide("solutions", "own", "--encoder", f"features.py:{other}") == 2
         assert message in one_line(capsys)
 
