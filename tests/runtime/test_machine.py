@@ -51,7 +51,7 @@ def test_a_quota_of_a_container_counts(tmp_path: Path, text: str | None, expecte
 
 NAME = re.compile(r"[\w.-]+")
 PROJECT = Path(__file__).parents[2] / "pyproject.toml"
-NOT_FOR_USERS = {"all", "dev", "docs", "release"}
+NOT_FOR_USERS = {"all", "dev", "docs", "examples", "release"}
 
 
 def test_the_extras_are_those_that_are_declared() -> None:
