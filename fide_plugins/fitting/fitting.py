@@ -271,9 +271,6 @@ class Fitting:
         r.pending, r.failures = self._loop.pending, self._failures.count
         if self._schedule is not None:
             r.fineness = self._schedule.state_dict()
-        del r.generations[:]
-        if asked := r.evaluations + len(r.pending):
-            r.generations.append(asked)  # one generation that never waits
         self._loop.tick()
 
     # -- ending ------------------------------------------------------------------------------------
@@ -374,7 +371,7 @@ class Fitting:
             clipped=optimizer.clipped,
             value_range=optimizer.value_range,
             std_renders=self._std_renders,
-            plan=[] if self._planner is None else self._planner.lines,
+            plan=() if self._planner is None else tuple(self._planner.lines),
             compared=None if compared is None else shown(optimizer, compared),
             unsaved=Unsaved(optimizer, record, self._plan, stopped, solutions),
             **histories(self.record, optimizer.dim),

@@ -224,24 +224,28 @@ class Task(ABC):
     def _noise_seeds(self, n: int, seed: int | Sequence[int] | None) -> NDArray[np.uint32]:
         if not self.stochastic:
             return np.zeros(n, np.uint32)
+        entropy: list[Any]
         if seed is None:
             first, self._frames_rendered = self._frames_rendered, self._frames_rendered + n
-            states = [np.random.SeedSequence((self.seed, first + i)) for i in range(n)]
-            return np.array([s.generate_state(1)[0] for s in states], np.uint32)
-        if isinstance(seed, Sequence) or np.ndim(seed):
-            seeds = [whole_number("seed", s, minimum=0) for s in seed]  # type: ignore[union-attr]
-            if len(seeds) != n:
-                raise ValueError(f"{len(seeds)} seeds for {n} candidates; pass one for each")
-            states = [np.random.SeedSequence(s) for s in seeds]
-            return np.array([s.generate_state(1)[0] for s in states], np.uint32)
-        state = np.random.SeedSequence(whole_number("seed", seed, minimum=0)).generate_state(n)
-        return state.astype(np.uint32, copy=False)
+            entropy = [(self.seed, first + i) for i in range(n)]
+        elif isinstance(seed, Sequence) or np.ndim(seed):
+            entropy = [whole_number("seed", s, minimum=0) for s in seed]  # type: ignore[union-attr]
+            if len(entropy) != n:
+                raise ValueError(f"{len(entropy)} seeds for {n} candidates; pass one for each")
+        else:
+            state = np.random.SeedSequence(whole_number("seed", seed, minimum=0)).generate_state(n)
+            return state.astype(np.uint32, copy=False)
+        return _first_words(entropy)
+
+
+def _first_words(entropy: list[Any]) -> NDArray[np.uint32]:
+    states = [np.random.SeedSequence(one).generate_state(1)[0] for one in entropy]
+    return np.array(states, np.uint32)
 
 
 def reserved_seeds(n: int, stream: int = 0) -> NDArray[np.uint32]:
     """Return n noise seeds, always the same, that differ from those of all other streams."""
-    states = [np.random.SeedSequence((_RESERVED + stream, i)) for i in range(n)]
-    return np.array([s.generate_state(1)[0] for s in states], np.uint32)
+    return _first_words([(_RESERVED + stream, i) for i in range(n)])
 
 
 def whole_number(name: str, value: Any, minimum: int) -> int:

@@ -172,15 +172,12 @@ class _Loaded:
 
 
 def _checked_depth(max_depth: int) -> int:
+    if max_depth == -1 and not isinstance(max_depth, bool):
+        return -1
     try:
-        depth = whole_number("max_depth", max_depth, minimum=-1)
-    except ValueError:
-        depth = 0
-    if depth == 0:
-        raise ValueError(
-            f"max_depth must be a whole number >= 1, or -1 for any length, not {max_depth!r}"
-        )
-    return depth
+        return whole_number("max_depth", max_depth, minimum=1)
+    except ValueError as error:
+        raise ValueError(f"{error}; -1 is any length") from None
 
 
 def to_srgb(radiance: NDArray[np.float32], out: NDArray[np.float32]) -> None:

@@ -64,10 +64,10 @@ class Stage:
     data: MuJoCo's state of the model; its kinematics say where everything is when it is drawn.
     """
 
-    def __init__(self, model: Any, size: tuple[int, int], camera: Any, samples: int) -> None:
+    def __init__(self, model: Any, size: tuple[int, int], camera: Any) -> None:
         """Prepare images of (height, width) pixels; `camera` is an mjvCamera.
 
-        With `samples` > 0 so many points of a pixel are averaged. Raises OffscreenError.
+        Raises OffscreenError.
         """
         self._mujoco = mujoco = import_mujoco()
         self._model, self._camera, (height, width) = model, camera, size
@@ -78,7 +78,7 @@ class Stage:
         self._scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
         self._scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
         model.vis.global_.offheight, model.vis.global_.offwidth = size
-        model.vis.quality.offsamples = samples
+        model.vis.quality.offsamples = 0
         self._view = mujoco.MjrRect(0, 0, width, height)
         self._pixels = np.empty((height, width, 3), np.uint8)
         self._context = _Context(mujoco, model, size)
@@ -141,14 +141,8 @@ class _Context:
         except (ValueError, mujoco.FatalError) as error:
             raise OffscreenError(
                 f"OpenGL cannot draw images of {size[0]} x {size[1]} pixels here ({error}): choose "
-                "a smaller size or fewer samples"
+                "a smaller size"
             ) from error
-        asked, there = model.vis.quality.offsamples, self.renderer.offSamples
-        if there != asked:
-            raise OffscreenError(
-                f"OpenGL draws with {there} samples a pixel here, not {asked}: choose "
-                + " or ".join(f"samples={n}" for n in sorted({0, there}))
-            )
 
     @contextlib.contextmanager
     def current(self) -> Iterator[None]:

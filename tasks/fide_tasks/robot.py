@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fide_tasks import isolated, panda
-from fide_tasks.base import Image, Parameter, Task, Vector, whole_number
+from fide_tasks.base import Image, Parameter, Task, Vector
 from fide_tasks.offscreen import OffscreenError, Stage, import_mujoco
 
 _MODEL = Path(__file__).parent / "mjcf" / "panda.xml"
@@ -39,16 +39,14 @@ class Robot(Task):
 
     Options
     -------
-    samples: points averaged per pixel (multisampling): 0, or a number that OpenGL supports, such as
-        4; other numbers raise OffscreenError when the first frame is drawn.
     target: the user's own picture, float (H, W, 3) in [0, 1], instead of a generated one.
 
     The x_star of a generated target depends on `seed` alone, its picture on all options. It is a
     pose that touches neither itself nor the floor, as far as links of simple shape can tell, of
     which our camera sees nearly all, and the long links from the side.
 
-    A pixel is what lies at its center: links move from pixel to pixel in steps unless there are
-    `samples`. One frame takes about 2.5 ms at 224 x 224 on one core without a GPU.
+    A pixel is what lies at its center: links move from pixel to pixel in steps. One frame takes
+    about 2.5 ms at 224 x 224 on one core without a GPU.
     """
 
     name = "robot"
@@ -62,11 +60,9 @@ class Robot(Task):
         size: int | tuple[int, int] = 224,
         seed: int = 0,
         *,
-        samples: int = 0,
         target: ArrayLike | None = None,
     ) -> None:
         super().__init__(size, seed, picture=target)
-        self.samples = whole_number("samples", samples, minimum=0)
         self._model: Any = import_mujoco().MjModel.from_xml_path(str(_MODEL))
         joints = [self._model.joint(f"joint{i + 1}").id for i in range(panda.JOINTS)]
         self._places = self._model.jnt_qposadr[joints]
@@ -94,7 +90,7 @@ class Robot(Task):
             return
         with self._lock:
             if self._stage is None:
-                self._stage = Stage(self._model, self.size, self._view(), self.samples)
+                self._stage = Stage(self._model, self.size, self._view())
             with self._stage.open():
                 for q, frame in zip(values, out, strict=True):
                     self._pose(self._stage.data, q)

@@ -57,7 +57,7 @@ def test_the_plan_is_printed_kept_and_made_once(
     printed = capsys.readouterr().err
     assert all(f"plan: {line}\n" in printed for line in result.plan)
     totals = json.loads((tmp_path / "run.json").read_text())["totals"]
-    assert totals["plan"] == result.plan and totals["cost"] == result.cost
+    assert totals["plan"] == list(result.plan) and totals["cost"] == result.cost
     again = fit(renderer(asked), target, SPACE, 12, resume=True, **options)
     assert not again.plan and again.evaluations == 12 and asked[-1][1] == (64, 64)
 

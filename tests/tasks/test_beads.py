@@ -160,7 +160,7 @@ def test_mitsuba_is_imported_only_when_a_frame_is_rendered() -> None:
         ({"spp": 0}, "spp must be a whole number >= 1, not 0"),
         ({"spp": 1.5}, "spp must be a whole number >= 1, not 1.5"),
         ({"spp": "64"}, "spp must be a whole number >= 1, not '64'"),
-        ({"max_depth": 0}, "max_depth must be a whole number >= 1, or -1.*, not 0"),
+        ({"max_depth": 0}, "max_depth must be a whole number >= 1, not 0; -1 is any length"),
         ({"max_depth": -2}, "max_depth must be"),
         ({"max_depth": "8"}, "max_depth must be"),
         ({"reference_spp": 0}, "reference_spp must be"),

@@ -49,10 +49,9 @@ def test_every_joint_can_be_seen(task: Robot) -> None:
         assert np.abs(task.render(moved[None])[0] - task.target).mean() > 1e-4, f"{joint=}"
 
 
-@pytest.mark.parametrize("samples", [0, 4])
-def test_the_image_varies_continuously(samples: int) -> None:
+def test_the_image_varies_continuously() -> None:
     """The change is as small as the step, down to the steps of pixels."""
-    task = Robot(112, samples=samples)
+    task = Robot(112)
     X = np.random.default_rng(3).uniform(0.1, 0.9, (20, 7))
     away = np.random.default_rng(4).choice([-1.0, 1.0], X.shape)
     images, changes = task.render(X), []
@@ -101,22 +100,11 @@ def test_poses_that_are_not_possible_are_no_targets(
     assert panda._is_free(links) == (why is None)
 
 
-def test_samples_soften_edges(task: Robot) -> None:
-    x = random_x(4, 5)
-    plain = task.render(x)
-    soft = Robot(64, samples=4).render(x)
-    changed = np.abs(soft - plain).max(axis=3) > 0.02
-    assert 0.005 < changed.mean() < 0.3
-    fine = Robot(256).render(x).reshape(4, 64, 4, 64, 4, 3).mean(axis=(2, 4))
-    assert np.abs(soft - fine).mean() < 0.6 * np.abs(plain - fine).mean()
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"samples": -1}, "samples must be a whole number >= 0, not -1"),
-        ({"samples": 0.5}, "samples must be a whole number"),
-        ({"spp": 8}, "robot has no option 'spp'; it has samples, target"),
+        ({"seed": -1}, "seed must be a whole number >= 0"),
+        ({"spp": 8}, "robot has no option 'spp'; it has target"),
     ],
 )
 def test_bad_options_are_refused(options: dict[str, Any], message: str) -> None:

@@ -1,8 +1,8 @@
 """The FIDE of a Nevergrad optimizer: made late, and dumped without images.
 
-Nevergrad makes many optimizers only to inspect them, lets users seed an optimizer after it was
-made, and dumps optimizers by pickling.  So FIDE is made, and PyTorch imported, with the first
-candidate; and a dump holds FIDE's state as arrays, without images, encoder and networks.
+Nevergrad makes many optimizers only to inspect them, lets users seed them afterwards, and pickles
+them.  So FIDE is made, and PyTorch imported, with the first candidate; and a dump holds FIDE's
+state as arrays, without images, encoder and networks.
 """
 
 from __future__ import annotations

@@ -240,8 +240,7 @@ class FIDESampler(BaseSampler):
         """How many finished trials counted as what, for the study's latest search space.
 
         "member", "late" and "altered" were asked by FIDE, "injected" were not; "image" is how many
-        of these had one.  "left out" failed, were pruned or are of another space, target or loss;
-        "waiting" are behind an unfinished one.  `docs/reference/optuna.md` says more.
+        of these had one; "left out" do not count; "waiting" are behind an unfinished one.
         """
         with self._lock:
             return self._state_of(study).counts(study, self._search_space)
@@ -270,13 +269,10 @@ def image_objective(
 ) -> Callable[[Trial], float]:
     """Make an objective from a function of a trial that returns an image.
 
-    function: the image may be a path, too; it may also return (loss, image), an `ImageLoss`, or a
-        loss without image.
+    function: it may also return the path of an image, (loss, image), an `ImageLoss`, or a loss.
     sampler: None: that of the study, also inside a `PartialFixedSampler`.
 
     The objective raises ProtocolError if the study has no FIDESampler.
-
-        study.optimize(image_objective(render), n_trials=1000)
     """
 
     def objective(trial: Trial) -> float:
@@ -301,7 +297,7 @@ def _sampler_of(trial: Trial) -> FIDESampler:
 
 
 class _NumberedSampler(RandomSampler):
-    """Uniform parameters from (seed, number of the trial, name of the parameter)."""
+    """Uniform parameters from (seed, number of the trial, name): workers do not begin alike."""
 
     def __init__(self, seed: int | None = None) -> None:
         super().__init__()  # whose generator is not used, and takes no seed beyond 32 bits

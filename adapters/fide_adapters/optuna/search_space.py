@@ -140,11 +140,11 @@ class SearchSpace:
     def contains(self, params: Mapping[str, Any]) -> bool:
         """Whether each of these parameters has a value, within its range."""
         try:
-            return all(_is_in(d, params[name]) for name, d in self.distributions.items())
+            for name, d in self.distributions.items():
+                number = d.to_internal_repr(params[name])  # a ValueError for no choice
+                plain: Any = None if isinstance(d, CategoricalDistribution) else d
+                if plain is not None and not plain.low <= number <= plain.high:
+                    return False
         except (KeyError, OverflowError, TypeError, ValueError):  # Optuna refuses it, too
             return False
-
-
-def _is_in(d: Any, value: Any) -> bool:
-    number = d.to_internal_repr(value)  # a ValueError for no choice
-    return isinstance(d, CategoricalDistribution) or bool(d.low <= number <= d.high)
+        return True

@@ -14,17 +14,11 @@ Every round fits new networks to the best points so far (the buffer), in double 
 5. Candidates: many samples of the posterior are improved by Adam on the score r + alpha log p_prior
    and the best `popsize` of them, clamped to the box, are evaluated.
 
-Where this deviates from the authors' program
----------------------------------------------
-- Adam climbs the score itself, not its exponential, and without the divergence part of
-  log p_prior, whose gradient the program drops as well; the final ranking has it.
-- The variances of the noise are the program's: 31 from 7.6e-4 to 0.0207, of which it trains and
-  samples with all but the cleanest, so that candidates keep more noise than the paper's 30 numbers
-  from 1e-4 to 0.02 would leave.
-- log p_prior is the program's own number, see `program_likelihood`: its ODE goes the other way
-  round and ends in N(0, 0.0276^2), so that it is no likelihood, but a strong pull to the mean of
-  the buffer.  (With the exact one, alpha = 1e-4 weighs next to nothing in the score.)
-- The first points are the center of the box and uniform ones, like those of the others here.
+It deviates from the authors' program: Adam climbs the score itself, not its exponential, and
+without the divergence part of log p_prior; the first points are the center of the box and uniform
+ones.  Variances are the program's: 31 from 7.6e-4 to 0.0207, of which it trains and samples with
+all but the cleanest.  log p_prior is its own number, see `program_likelihood`: no likelihood, but a
+strong pull to the mean of the buffer.
 """
 
 from __future__ import annotations

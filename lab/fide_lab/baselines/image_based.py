@@ -227,13 +227,11 @@ class EKI(ImageBased):
     X, E the deviations from the means over sqrt(k - 1), every generation is (Iglesias, Law and
     Stuart 2013)
 
-        x_i += C_xe (C_ee + Gamma)^-1 (e* + eta_i - e_i),   eta_i ~ N(0, Gamma), Gamma = gamma I,
+        x_i += C_xe (C_ee + Gamma)^-1 (e* + eta_i - e_i),   eta_i ~ N(0, Gamma), Gamma = gamma I.
 
-    in the k dimensions of the ensemble: C_xe (C_ee + Gamma)^-1 = X^T (E E^T + gamma I)^-1 E.
     Images have no noise of their own, so Gamma regularizes a step; it is annealed by the data
-    misfit controller of Iglesias and Yang (2021, arXiv:2006.14061), without their bound of it.
-    Values that leave the box are put on its border.  The ensemble stays in its own span and
-    collapses there: then another one starts around a random point.
+    misfit controller of Iglesias and Yang (2021, arXiv:2006.14061).  Values that leave the box are
+    put on its border.  Where an ensemble collapses another one starts around a random point.
 
     popsize: k, members of the ensemble, at least 2; None: 100, or 2 d if that is more.
     channels: of the tokens of the encoder; by default the mean colors of 14 x 14 patches.
@@ -354,14 +352,11 @@ class FIDEAnnealing(ImageBased, Sequential):
     """Dual annealing, half of whose points are denoised towards the target (supplement S4).
 
     Of the points that SciPy's annealing visits every second one is denoised before it is rendered;
-    the annealing accepts or rejects the point that was rendered.  Points of both kinds are
-    collected, and whenever there are k of them the denoiser is trained on their images; their
-    standard deviations are then its noise model.  The local search stays SciPy's.  Readings where
-    the supplement is silent: nothing is denoised before the first training; evaluations of the
-    local search are not collected; each k points are used for one training.
-
-    It cannot be resumed.  SciPy calls the function with the very array that it keeps when the point
-    is accepted, so the function writes the denoised point there.  A test holds SciPy to that.
+    the annealing accepts or rejects the point that was rendered.  Whenever there are k points of
+    both kinds the denoiser is trained on their images, and their standard deviations are its noise
+    model.  The local search stays SciPy's, and is not collected.  It cannot be resumed.  SciPy
+    calls the function with the very array that it keeps when the point is accepted, so the function
+    writes the denoised point there.
 
     samples: k, points before each training; 500 in the paper.
     epochs: of a training.

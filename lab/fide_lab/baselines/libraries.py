@@ -125,9 +125,7 @@ class Sequential(Baseline):
     """A library's search in a thread of its own, one evaluation at a time: its population is 1.
 
     When a search is over, the next one begins.  If more is asked before the results are told, the
-    same point is given again.  Only its first result is used; the others are counted.  Another
-    popsize, which may be meant for all optimizers of a comparison, has no effect, and gets a
-    warning.
+    same point is given again; only its first result is used.
     """
 
     def __init__(self, dim: int, target: object = None, **options: Any) -> None:
@@ -203,15 +201,12 @@ class DualAnnealing(Sequential):
 
     Generalized simulated annealing (Tsallis and Stariolo 1996), which descends from its best points
     by L-BFGS-B; each evaluation of its finite differences counts.  Where SciPy would return,
-    another search starts from a random point.  SciPy's differences are 1e-8 long: an image of
-    32-bit numbers does not change by so little, so most evaluations for gradients are wasted.  With
-    `step` of 0.001 the same search is much stronger; `lab/reports/baselines.md` has both.
+    another search starts from a random point.
 
-    step: of the finite differences; None: SciPy's own, 1e-8.
+    step: of the finite differences; None: SciPy's own, 1e-8, by which an image of 32-bit numbers
+        does not change.  `lab/reports/baselines.md` has both.
 
-    Without a step the points are those that SciPy evaluates with ``x0=np.full(dim, 0.5)`` and
-    ``rng=np.random.default_rng(seed)``.  `sigma0` is not used; popsize is 1, and another one has
-    no effect but a warning.
+    `sigma0` is not used; popsize is 1, and another one has no effect but a warning.
 
     Raises OptionError (a ValueError).
     """
@@ -256,29 +251,23 @@ LONGEST = 100_000  # evaluations of one search; DFO-LS makes a list of that leng
 
 
 class DFOLS(ImageBased, Sequential):
-    """Least squares by DFO-LS from near the center of the box; at its end again, from elsewhere.
+    """Least squares by DFO-LS from near the center of the box, then from random points.
 
     Cartis, Fiala, Marteau and Roberts (2019) fit a linear model of the residual vector, here the
     features of an image minus those of the target, within a trust region (Gauss-Newton without
-    derivatives).  It needs dim + 1 renders to begin and then one at a time.  The authors' package
-    is under the GPL and therefore an optional extra: pip install DFO-LS.
+    derivatives).  It is told that the function is noisy, because an image changes in steps where an
+    edge passes a pixel: its radius shrinks slowly, and it restarts by itself.
 
-    sigma0: standard deviation of the first start around the center.  The center itself can be a
-        point of symmetry: with all cells of a Voronoi picture on top of each other, moving one
-        changes nothing, and the linear model is blind.  Later starts are uniform in the box.
+    sigma0: standard deviation of the first start around the center, which can be a point of
+        symmetry where the linear model is blind.
     channels: of the tokens of the encoder; by default the mean colors of 14 x 14 patches.
     radius: of the first trust region, at most 0.5.
 
-    DFO-LS is told that the function is noisy, which makes its radius shrink slowly, because an
-    image changes in steps where an edge passes a pixel; a search that has converged goes on by its
-    own restarts, from its best point with a new radius, before it begins elsewhere.
-
-    Residuals are divided by the root of their number, so the sum of their squares is a mean.  The
-    search does not use the loss, which only decides which point is `best`.  The other options are
-    those of `ImageBased` and `Baseline`; popsize is 1, and another one has no effect but a warning.
+    The loss only decides which point is `best`.  The other options are those of `ImageBased` and
+    `Baseline`; popsize is 1, and another one has no effect but a warning.
 
     Raises OptionError, ImageError without a target (ValueErrors), and DependencyError (an
-    ImportError) without DFO-LS.
+    ImportError) without DFO-LS, which is under the GPL: pip install DFO-LS.
     """
 
     name: ClassVar[str] = "dfols"

@@ -1,23 +1,15 @@
 """ZeroGrads (Fischer and Ritschel 2024): gradients of a small network that imitates the loss.
 
 Each step evaluates points around the present parameter, improves the parameter by the gradient of
-the network, and then the network by what the points have shown; nothing is remembered of earlier
-steps.  As published, in the setting for few parameters: three hidden layers of 64 units with leaky
-ReLUs, the last layer's output included; every offset is used with both signs; points are shifted
-once more before they are rendered, by a tenth of sigma, which smooths the loss that is learned;
+the network, and then the network by what the points have shown.  As published, for few parameters:
+three hidden layers of 64 units with leaky ReLUs, the last layer's output included; every offset is
+used with both signs; points are shifted once more before they are rendered, by a tenth of sigma;
 three steps of Adam for the parameter, then three for the network.
 
-Where this deviates
--------------------
-- The parameter itself is evaluated at each step, after the points around it; it is from these
-  values that the published program takes its result, and here they count: 2 batch + 1 a step.
-- Losses are divided by the mean of the first step's, so that one learning rate of the network
-  serves losses of any size.
-- The published learning rates are set by hand for each experiment (1e-3 for the network, 5e-4 for
-  the parameter of a 2-D Rosenbrock function).  The defaults here were chosen for the unit box on
-  four functions of 5 to 20 parameters, in races with the published program.
-- Points and the parameter are kept in the box.  The published program may leave it, which helps it
-  where the loss outside says more (Ackley's function in those races).
+It deviates where the parameter itself is evaluated at each step, which counts here: 2 batch + 1
+renders; where losses are divided by the mean of the first step's; where points and the parameter
+are kept in the box; and in the learning rates, which were chosen for the unit box on four functions
+of 5 to 20 parameters, in races with the published program.
 """
 
 from __future__ import annotations

@@ -61,6 +61,8 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
     except OptionError as error:
         return complain("fide run", error)
 
+    learned = {} if args.learned is None else {"learned": args.learned}
+
     def prepare() -> harness.Run:
         return harness.prepare(
             task,
@@ -71,7 +73,7 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
             size=args.size or _SIZE,
             task_seed=args.task_seed,
             task_options=_task_options(args),
-            options=_learned(args) | optimizer_options(args),
+            options=learned | optimizer_options(args),
             out=free_directory(args, task),
             resume=args.resume,
             command=command,
@@ -84,10 +86,6 @@ def _task(args: argparse.Namespace) -> str:
     if args.template is None and args.task is None:
         raise OptionError("name a TASK, or give --command; see: fide run --help")
     return task_of(args) if args.task is None or args.template is not None else str(args.task)
-
-
-def _learned(args: argparse.Namespace) -> dict[str, Any]:
-    return {} if args.learned is None else {"learned": args.learned}
 
 
 def _task_options(args: argparse.Namespace) -> dict[str, Any]:
