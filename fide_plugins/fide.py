@@ -45,8 +45,8 @@ from fide_plugins.validation.points import (
     whole_number,
 )
 from fide_plugins.views import Views
+from fide_plugins.views.compared import loss_of
 from fide_plugins.views.grain import Grain
-from fide_plugins.views.loss import loss_of
 from fide_plugins.views.same_images import SameImages
 
 if TYPE_CHECKING:
