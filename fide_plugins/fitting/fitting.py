@@ -286,7 +286,7 @@ class Fitting:
         new = max(1, done - self._done_before)
         each = self._render_seconds / new / max(1, self._workers.number)
         left = math.inf if rules.seconds is None else rules.seconds - self.record.wall_s
-        if self.optimizer.state.grain.variance or not 0 < p <= MOST_NUMBERS:
+        if self.optimizer.state.pixel_noise.variance or not 0 < p <= MOST_NUMBERS:
             return
         if need > room or need * each > left:
             return
