@@ -109,16 +109,9 @@ class Emulator(Trainable):
     def errors_of_many(self, images: Tensor, u: Tensor, places: Tensor) -> Tensor:
         """As `errors`, in parts: memory does not grow with the number of points and places."""
         numbers = 6 * _WIDTH + (2 * _SUMMED + _HEADS) * len(self.blocks)  # of one place
-        at_once = max(1, _NUMBERS // numbers)  # places of all points
-        points = max(1, at_once // len(places))
-        errors = []
-        for some, at in zip(
-            torch.split(images.expand(len(u), -1, -1, -1), points),
-            torch.split(u, points),
-            strict=True,
-        ):
-            parts = torch.split(places, at_once)
-            sums = [self.errors(some, at, part) * len(part) for part in parts]
+        parts, errors = torch.split(places, max(1, _NUMBERS // numbers)), []
+        for image, at in zip(images.expand(len(u), -1, -1, -1).split(1), u.split(1), strict=True):
+            sums = [self.errors(image, at, part) * len(part) for part in parts]
             errors.append(torch.stack(sums).sum(dim=0) / len(places))
         return torch.cat(errors)
 
