@@ -11,7 +11,7 @@ import torch
 
 from fide_plugins.comparison.scale_space import NEXT, ScaleSpace
 from fide_plugins.population import Candidate, CandidateRole, Population
-from fide_plugins.population.candidate import Best, TrainingSample, columns, in_order
+from fide_plugins.population.candidate import Best, Memory, TrainingSample, columns, in_order
 from fide_plugins.proposers import Proposer
 from fide_plugins.proposers.feature_buffer import MOST, for_jacobian
 from fide_plugins.proposers.image_gate import ImageGate
@@ -30,7 +30,6 @@ from fide_plugins.runtime.schema import (
     saved,
     whole,
 )
-from fide_plugins.search.memory import Memory
 from fide_plugins.search.moves import Stage, Start
 from fide_plugins.search.one_search import Search
 from fide_plugins.search.policy import MovePolicy

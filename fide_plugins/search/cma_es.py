@@ -209,8 +209,14 @@ class CMAES(Stateful):
         self.generation += 1
         long_path = self._update_paths(y_w)
         self._update_covariance(y, lengths, long_path)
-        lost = pair is None or bool(injected[list(pair)].any())
-        self._scale_sigma(self._sigma_factor(y_w, losses, None if lost else pair))
+        if self._two_point is None:
+            path = float(np.linalg.norm(self.p_sigma))
+            rate = self._c_sigma / self._d_sigma * (path / self._chi - 1)
+            factor = float(np.exp(min(1.0, rate)))  # eq. 44
+        else:
+            lost = pair is None or bool(injected[list(pair)].any())
+            factor = self._two_point.factor(y_w, losses, None if lost else pair)
+        self._scale_sigma(factor)
         self._rescale()
         far = lengths.max() > _OUTLIER * self._longest_step  # C may be singular, but for rounding
         if far or self.generation % self._decompose_every == 0:
@@ -233,14 +239,6 @@ class CMAES(Stateful):
         other._set_weights(self.dim, len(z))
         other.tell(z, losses, injected)
         return other
-
-    def _sigma_factor(self, y_w: Float64, losses: Float64, pair: tuple[int, int] | None) -> float:
-        """What to multiply the step size by."""
-        if self._two_point is not None:
-            return self._two_point.factor(y_w, losses, pair)
-        path = float(np.linalg.norm(self.p_sigma))
-        rate = self._c_sigma / self._d_sigma * (path / self._chi - 1)
-        return float(np.exp(min(1.0, rate)))  # eq. 44
 
     def _lengths(self, y: Float64) -> Float64:
         """Mahalanobis lengths (n,) of steps (n, d): |C^(-1/2) y|."""

@@ -1,16 +1,9 @@
 """Grain: noise that is independent from pixel to pixel, as that of path tracers and cameras is.
 
-Where a test renders one candidate twice, half of the mean squared difference of the two is the
-variance of a pixel.  Where an image is right, its difference from the target is grain, of the
-renderer and perhaps of the target: neighbors are not correlated, and the mean square is about that
-variance, or twice that.  What is wrong mostly covers several pixels: the correlation of neighbors
-is about its share of the squared difference, and of a small thing a mean of 3 x 3 to 8 x 8 stands
-out.
-
-Where the target has more grain than the renders, nobody knows how much.  Then it must be as strong
-all over the picture: most pixels have some, and no 9 x 9 pixels more of it than chance explains.
-
-Not seen is what changes no such mean by some five standard deviations, and noise of another kind.
+Half of the mean squared difference of two renders of one candidate is the variance of a pixel.
+Where an image is right, its difference from the target is grain of up to twice that: neighbors are
+not correlated, and no mean of 3 x 3 to 8 x 8 pixels stands out.  Where the target has more grain
+than the renders, it must be as strong all over the picture.
 """
 
 from __future__ import annotations
@@ -173,10 +166,7 @@ def _without_copies(difference: Float64) -> Float64:
 def _stands_out(
     difference: Float64, sides: Sequence[int], variances: Float64, limit: float
 ) -> bool:
-    """Whether the mean of any square of pixels is farther from 0 than chance explains.
-
-    variances: of a pixel, what (H, W, C) can be compared with.  limit: in standard deviations.
-    """
+    """Whether the mean of any square of pixels is farther from 0 than chance explains."""
     for side in sides:
         means = uniform_filter(difference, (side, side, 1), mode="constant")
         if (np.square(means) * side**2 > limit**2 * variances).any():

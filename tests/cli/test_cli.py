@@ -120,8 +120,6 @@ def test_wrong_usage_is_one_line_and_exit_code_2(
 ) -> None:
     assert main(words) == 2
     line = one_line(capsys)
-    import re
-
     assert re.search(message, line), line
     assert not Path("runs").exists()
 
@@ -164,7 +162,6 @@ def test_list_says_what_is_missing(no_weights: Path, capsys: pytest.CaptureFixtu
     for kind, name, needs in [
         ("encoders", "vgg19", "no weights of VGG-19 at"),
         ("losses", "lpips", "no weights of AlexNet at"),
-        ("losses", "lpips:vgg", "no weights of VGG-16 at"),
     ]:
         assert fide("list", kind) == 0
         (line,) = (x for x in capsys.readouterr().out.splitlines() if x.split()[0] == name)
@@ -185,7 +182,7 @@ def test_doctor(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.thorough
-def test_doctor_is_short_and_imports_no_framework() -> None:
+def test_doctor_imports_no_framework() -> None:
     script = (
         "import sys; from fide_plugins.cli import main; code = main(['doctor']);"
         "print(*sorted({'mitsuba', 'mujoco', 'optuna', 'nevergrad'} & set(sys.modules)));"
@@ -195,9 +192,8 @@ def test_doctor_is_short_and_imports_no_framework() -> None:
         [sys.executable, "-c", script], capture_output=True, text=True, check=True
     )
     *lines, heavy = done.stdout.splitlines()
-    assert len(lines) <= 9 and heavy == ""
-    assert lines[0].startswith("fide-plugins ") and "--verbose" in lines[-1]
-    assert any(line.startswith("encoders: dense, ") for line in lines)
+    assert heavy == "" and "--verbose" in lines[-1]
+    assert "tasks" not in lines and any(re.match("  dense +ok", line) for line in lines)
 
 
 # -- interruption ----------------------------------------------------------------------------------

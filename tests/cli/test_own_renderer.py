@@ -129,8 +129,8 @@ def test_wrong_commands(words: list[str], message: str, capsys: pytest.CaptureFi
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["scene.py"], "scene.py is a file, not a function; its functions: render, render_x"),
-        (["scene.py:rendr"], "has no 'rendr'; its functions: .*did you mean 'render'"),
+        (["scene.py"], "no renderer 'scene.py'.*; it has render, render_x"),
+        (["scene.py:rendr"], "'rendr' in .*scene.py must be .*it has render"),
         (["nowhere.py:render"], "no file '/.*/nowhere.py'; write FILE.py:NAME"),
         (["scene.py:render", "--space", "no.toml"], "No such file or directory: 'no.toml'"),
         (["scene.py:render", "--space", "bad.toml"], "bad.toml: .a. hihg: unknown key.*'high'"),
