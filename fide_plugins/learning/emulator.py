@@ -110,7 +110,8 @@ class Emulator(Trainable):
         """As `errors`, in parts: memory does not grow with the number of points and places."""
         numbers = 6 * _WIDTH + (2 * _SUMMED + _HEADS) * len(self.blocks)  # of one place
         parts, errors = torch.split(places, max(1, _NUMBERS // numbers)), []
-        for image, at in zip(images.expand(len(u), -1, -1, -1).split(1), u.split(1), strict=True):
+        pairs = zip(images.expand(len(u), -1, -1, -1), u, strict=True)
+        for image, at in ((image[None], at[None]) for image, at in pairs):
             sums = [self.errors(image, at, part) * len(part) for part in parts]
             errors.append(torch.stack(sums).sum(dim=0) / len(places))
         return torch.cat(errors)
