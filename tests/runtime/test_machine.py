@@ -88,17 +88,6 @@ def imported_again() -> Iterator[Any]:
     sys.modules.update(before)
 
 
-def test_what_is_left_of_two_is_noticed(
-    imported_again: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "cv2").mkdir()  # as `pip uninstall` of one of them may leave it
-    (tmp_path / "cv2" / "data.py").touch()
-    monkeypatch.setattr(sys, "path", [str(tmp_path)])
-    importlib.invalidate_caches()
-    with pytest.raises(DependencyError, match="in part only .*: pip uninstall -y opencv-python "):
-        imported_again()
-
-
 def test_a_missing_library_of_the_system_is_named(
     imported_again: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

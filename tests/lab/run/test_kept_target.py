@@ -10,10 +10,11 @@ import pytest
 from PIL import Image
 
 from fide_lab import run as harness
+from fide_lab.run.kept_target import same_target
 from fide_lab.run.prepare import make_task
 from fide_lab.run.task import source_of_target
 from fide_plugins.errors import CheckpointError
-from fide_plugins.recording.storage import RunDirectoryError, same_target
+from fide_plugins.recording.storage import RunDirectoryError
 
 from .tint import Tint, same
 
