@@ -46,7 +46,7 @@ from fide_plugins.validation.points import (
 )
 from fide_plugins.views import Views
 from fide_plugins.views.compared import loss_of
-from fide_plugins.views.grain import Grain
+from fide_plugins.views.pixel_noise import PixelNoise
 from fide_plugins.views.same_images import SameImages
 
 if TYPE_CHECKING:
@@ -180,7 +180,8 @@ class FIDE(Saved):
     def _initial_state(self, posterior: Posterior | None = None) -> State:
         """Lines 1 and 2; posterior: of a learned model, where the search begins."""
         o, k, learned = self.options, self.popsize, posterior is not None
-        subsets = channel_subsets(o, self.encoder)
+        views, encoder = self.evaluator.views, self.evaluator.encoder
+        subsets = channel_subsets(o, encoder)
         layout = None if self.space is None else self.space.layout
         setting = Setting(k, np.broadcast_to(self.sigma0, self.dim), o, layout, self.validity)
         groups: Sequence[Sequence[int]] | None = o.groups
@@ -189,15 +190,15 @@ class FIDE(Saved):
         follows = o.proposer in ("both", "linear") and o.restarts == "moves"
         guessed = self.guess is not None and bool(np.max(self.sigma0) <= _ROUGHLY)
         moves = MovePolicy(
-            self.x0, setting.sigma0, popsize=k, target=self.target_tokens, channels=subsets[0],
-            seed=self.seed, groups=groups, layout=layout, posterior=posterior,
+            self.x0, setting.sigma0, popsize=k, target=self.evaluator.target_tokens,
+            channels=subsets[0], seed=self.seed, groups=groups, layout=layout, posterior=posterior,
             descends=o.photo and follows and (learned or guessed),
         )  # fmt: skip
         moves.start = setting.valid_start(moves.start, 1)
-        side = min(min(view.size) for view in self.views.views)
+        side = min(min(view.size) for view in views.views)
         may_blur = follows and o.coarse_to_fine is not False and self.loss_name is not None
         scales = ScaleSpace(
-            self.views,
+            views,
             possible=may_blur and side >= _COARSEST and not (learned or moves.descends),
             at_once=bool(o.coarse_to_fine),
             photo=o.photo,
@@ -213,10 +214,10 @@ class FIDE(Saved):
             search=Search(moves.start, moves.goal, setting),
             moves=moves,
             gate=ImageGate(o, subsets, known=learned),
-            proposer=make_proposer(o, self.dim, k, self.seed, self.encoder, learned=learned),
-            steps=make_steps(o, self.dim, k, self.encoder, learned=learned),
+            proposer=make_proposer(o, self.dim, k, self.seed, encoder, learned=learned),
+            steps=make_steps(o, self.dim, k, encoder, learned=learned),
             memory=Memory(o.memory_mb),
-            grain=Grain(self.views),
+            pixel_noise=PixelNoise(views),
             scales=scales,
             kept=self._nothing_kept(),
         )
@@ -681,7 +682,7 @@ class FIDE(Saved):
     @property
     def _seen_target(self) -> Tensor:
         """Tokens (T, C) of the target as the present search sees it."""
-        return self.evaluator.tokens_at(self.state.blur)
+        return self.evaluator.tokens_at(self.state.scales.blur)
 
     @property
     def views(self) -> Views:

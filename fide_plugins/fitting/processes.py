@@ -42,7 +42,7 @@ class Processes:
 
     def submit(self, x: Any) -> Task:
         """Render the point x (d,), or whatever the renderer takes, in a free worker."""
-        while True:
+        for _ in range(self.number + 1):
             worker = self._free()
             try:
                 task = worker.submit(x)
@@ -51,6 +51,7 @@ class Processes:
             else:
                 self._of[task] = worker
                 return task
+        raise BrokenExecutor("worker processes end as soon as they start")
 
     def outcome(self, task: Task) -> Outcome:
         """Image, or what went wrong."""

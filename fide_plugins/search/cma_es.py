@@ -126,10 +126,7 @@ class CMAES(Stateful):
         self.largest_std = widest * float(scales.mean())
         self._two_point = TwoPoint(d) if are_many(d, k) else None
         self._set_weights(d, k)
-        if (scales == scales[0]).all():
-            self._take(np.diag(self.C), np.eye(d))
-        else:
-            self._decompose()
+        self._decompose()
 
     def _set_weights(self, d: int, k: int) -> None:
         """Weights and rates of learning, from dimension and population alone."""
@@ -300,10 +297,7 @@ class CMAES(Stateful):
 
     def _decompose(self) -> None:
         """B and D of C, which is symmetric and kept positive definite."""
-        self._take(*np.linalg.eigh(self.C))
-
-    def _take(self, eigenvalues: Float64, B: Float64) -> None:
-        self._B = B
+        eigenvalues, self._B = np.linalg.eigh(self.C)
         floor = max(eigenvalues[-1], _TINY) / _LARGEST_CONDITION
         if eigenvalues[0] < floor:
             eigenvalues = np.maximum(eigenvalues, floor)
