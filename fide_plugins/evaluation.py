@@ -104,7 +104,9 @@ class Evaluator:
         self.loss = loss_of(self.views, loss, device=device)
         self.encoder = encoder_of(self.views, _made(encoder, device, for_network))
         self._how: dict[str, Any] = {}
-        self.adapts_light = photometric == "auto" or (photo and photometric is None)
+        self.adapts_light = getattr(self.loss, "of_places", True) and (
+            photometric == "auto" or (photo and photometric is None)
+        )
         """Whether the images say which light is set aside."""
         self.comparison: Comparison | None = None
         """How renders are compared with a target that the renderer did not draw; None: as is."""

@@ -4,6 +4,9 @@ A free light brings any two pictures nearer to each other, so what it does for t
 the target is compared with what it does for pairs of these renders, which have the same light: only
 where it explains more than half of what is left beyond that, it is set aside.  It is no longer
 where the renders are as near without it.
+
+It never is where renders have the target's colors: parameters change them then, or nothing does,
+and what a light removed would be a difference of place.
 """
 
 from __future__ import annotations
@@ -16,12 +19,14 @@ import numpy as np
 from fide_plugins.comparison.light import EXPOSURE, NONE, SHADING, robust_factor, robust_light
 from fide_plugins.types import Float32, Float64
 
-__all__ = ["MOST", "changed_light", "light_between"]
+__all__ = ["MOST", "changed_light", "has_other_colors", "light_between"]
 
 MOST = 4  # renders that are looked at
 _KINDS = (NONE, EXPOSURE, SHADING)
 _EXPLAINED = 0.5  # of what is left without a light, at most, with it
 _NO_LONGER = 1.05  # times what is left with a light, at most, without it
+_LEVELS = np.linspace(0.05, 0.95, 9)  # quantiles of each channel
+_FARTHER, _STEP = 4.0, 0.004  # times the usual distance of other colors, and beyond it
 _NOTHING = 1e-7  # mean square that is rounding
 
 
@@ -62,6 +67,21 @@ def changed_light(light: str, left: Float64) -> str:
         if before > _NOTHING and share < _EXPLAINED * usual[other]:
             now = other
     return _KINDS[now]
+
+
+def has_other_colors(target: Float32, renders: Sequence[Float32]) -> bool:
+    """Whether quantiles of a target's colors are far from those of all renders, (h, w, 3) each.
+
+    Far is what is four times as far as a render's from those of the most similar render.
+    """
+    if len(renders) < 3:
+        return True
+    pictures = [one.reshape(-1, 3) for one in (target, *renders)]
+    found = np.array([np.quantile(one, _LEVELS, axis=0).ravel() for one in pictures])
+    apart = np.sqrt(np.square(found[:, None] - found).mean(axis=2))
+    np.fill_diagonal(apart, np.inf)
+    usual = float(np.median(apart[1:, 1:].min(axis=1)))
+    return bool(apart[0].min() > _FARTHER * usual + _STEP)
 
 
 def _left(

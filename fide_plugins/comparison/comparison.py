@@ -9,7 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from fide_plugins.comparison.auto import MOST, changed_light, light_between
+from fide_plugins.comparison.auto import (
+    MOST,
+    changed_light,
+    has_other_colors,
+    light_between,
+)
 from fide_plugins.comparison.light import (
     EXPOSURE,
     NONE,
@@ -71,6 +76,8 @@ class Comparison:
         background: bool = False,
         blur: float = 0.0,
     ) -> None:
+        if not getattr(loss, "of_places", True):  # differences of pixels say nothing
+            light, scale = NONE, None
         self.views, self._loss, self._loss_at = views, loss, loss_at
         self.light, self.scale, self.background, self.blur = light, scale, background, blur
         self._levels: dict[float, _Level] = {}
@@ -152,6 +159,16 @@ class Comparison:
                 weights = cover if weights is None else weights * cover
             found.append((one.lit(x, cover), view.target, weights))
         return found
+
+    def has_other_colors(self, images: Float32) -> bool:
+        """Whether the target's colors are none of these renders' (n, H, W, C): see `auto`."""
+        if images.shape[3] == 4:
+            return True  # what they do not cover has any color
+        parts = self.views.split(images)
+        return any(
+            has_other_colors(level.small, [_small(image) for image in part])
+            for level, part in zip(self.at().each, parts, strict=True)
+        )
 
     def light_that_explains(self, images: Float32) -> str:
         """How much of the light differs, as the best renders (n, H, W, C) say: see `auto`."""

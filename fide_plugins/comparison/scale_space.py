@@ -10,8 +10,8 @@ Where regions are wide and flat a blur hides what counts.  So the first candidat
 parameters follow better from blurred images than from sharp ones, by a linear model that has not
 seen them, a search from a random place that begins coarse is one of the moves from then on
 (`search.moves.Coarsen`), raced with the others.  If they follow much better, or if sharp features
-hardly agree with the losses, the first search begins again at once, coarse.  Elsewhere nothing
-changes.
+hardly agree with the losses, the first search begins again at once, coarse; where they agree even
+less, all searches are as patient as where the user asks for blurs.  Elsewhere nothing changes.
 
 A photograph needs it more often (``photo=True``).  Where its renders say what they draw, all
 searches begin coarse: at the blurs that leave enough of the renders' contrast, since a board of
@@ -53,6 +53,7 @@ _SIDE = 96  # pixels to which their images are reduced
 _LEAST_CONTRAST = 0.09  # of the variance of a sharp render, in what it covers
 _LEAST_RATIO, _LEAST_GAIN = 1.1, 0.05  # of the predictability, for blurs to be useful
 _MUCH, _LITTLE = 1.6, 0.8  # such a ratio, or so little agreement: the first search begins again
+_HARDLY = 0.7  # less agreement: searches are as patient as where the user asks for blurs
 _RIDGES = np.geomspace(1e-4, 1.0, 7)
 
 
@@ -72,7 +73,7 @@ class ScaleSpace:
         self.blurs: tuple[float, ...] = BLURS
         """Of a search that begins coarse and those that follow it, in sides of the image."""
         self.asked = at_once and possible
-        """Whether all searches are as patient as pictures need that no render equals."""
+        """Whether all searches are as patient as pictures need that no render resembles."""
         self._side = min(min(view.size) for view in views.views)
         self.useful: bool | None = (at_once or None) if possible else False
         """None: the first candidates have not decided."""
@@ -125,6 +126,7 @@ class ScaleSpace:
         scores = [predictability(_flat(seen, blur), X) for blur in (0.0, *_JUDGED)]
         sharp, best = scores[0], max(scores)
         self.useful = best >= _LEAST_RATIO * sharp and best - sharp >= _LEAST_GAIN
+        self.asked = self.useful and not self._photo and agreement < _HARDLY
         self._seen = []
         if not self.useful or not (best >= _MUCH * sharp or agreement < _LITTLE):
             return None

@@ -102,6 +102,7 @@ class LossOfViews(_OfViews):
         self.views, self._each, self.spec = views, each, spec
         self.name, version = each[0].name, each[0].version
         self.version = None if version is None else version + views.version
+        self.of_places = all(getattr(one, "of_places", True) for one in each)
 
     def compute(self, batch: Float32) -> Float64:
         """Losses (n,) of packed renders, without further checks."""
