@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from . import encoders as encoders, errors as errors, losses as losses
     from .errors import WeightsNotFoundError as WeightsNotFoundError
     from .fide import FIDE as FIDE
+    from .fitting.fidelity import Fidelity as Fidelity
     from .fitting.one_call import fit as fit
     from .fitting.result import Result as Result
     from .fitting.saved_run import load_run as load_run
@@ -60,6 +61,7 @@ _ATTRIBUTES = {
     "Choice": ".space",
     "FIDE": ".fide",
     "FIDESampler": "fide_adapters.optuna",  # needs Optuna, so it is not in __all__
+    "Fidelity": ".fitting.fidelity",
     "Float": ".space",
     "Group": ".space",
     "Int": ".space",
@@ -75,6 +77,7 @@ _ATTRIBUTES = {
 __all__ = [
     "FIDE",
     "Choice",
+    "Fidelity",
     "Float",
     "Group",
     "Int",

@@ -17,7 +17,7 @@ from fide_plugins.types import Float64
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
 
-__all__ = ["adapt_light", "compare_anew"]
+__all__ = ["adapt_light", "compare_anew", "compare_finer", "compare_first_at"]
 
 _NARROWEST = 1 / 3  # of the first standard deviation, with which a search begins again
 
@@ -67,10 +67,12 @@ def compare_anew(optimizer: FIDE, std: Float64 | None = None) -> None:
     start, now = Start(kept.x[order[0]].copy(), std), state.evaluations
     blurs = state.scales.left
     hypotheses = state.moves.hypotheses
-    posterior, typical = hypotheses.posterior if state.moves.descends else None, hypotheses.typical
+    posterior = typical = None
+    if hypotheses is not None and state.moves.descends:
+        posterior, typical = hypotheses.posterior, hypotheses.typical
     change = float(np.median(compared.losses)) / max(float(np.median(before)), 1e-300)
     state.retarget(evaluator.target_tokens, start, posterior)
-    if posterior is not None and typical is not None:
+    if hypotheses is not None and posterior is not None and typical is not None:
         hypotheses.typical = change * typical
     state.memory = Memory(optimizer.options.memory_mb)
     for i in order:
@@ -81,3 +83,24 @@ def compare_anew(optimizer: FIDE, std: Float64 | None = None) -> None:
     kept.rank(compared.losses)
     if not state.begin_descents():
         state.begin_at_blurs(blurs)
+
+
+def compare_first_at(optimizer: FIDE, size: tuple[int, int] | None) -> None:
+    """Compare renders of (h, w) pixels from now on, before any was told; None: the target's."""
+    optimizer.evaluator = optimizer.evaluator.at_size(size)
+    optimizer.state.moves.known.target = optimizer.evaluator.target_tokens
+
+
+def compare_finer(optimizer: FIDE, size: tuple[int, int] | None, x: Float64, std: Float64) -> None:
+    """Forget all losses and tokens, which are of coarser renders; begin a search at x (d,).
+
+    size: (h, w) of renders from now on; None: that of the target.  std: (d,).
+    """
+    state = optimizer.state
+    if size != optimizer.evaluator.size:
+        optimizer.evaluator = optimizer.evaluator.at_size(size)
+    if state.kept is not None:
+        state.kept = type(state.kept)(optimizer.dim)
+    state.retarget(optimizer.evaluator.target_tokens, Start(x.copy(), std), None)
+    state.memory = Memory(optimizer.options.memory_mb)
+    state.comparisons += 1

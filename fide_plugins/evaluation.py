@@ -100,6 +100,11 @@ class Evaluator:
     ) -> None:
         self._device = device
         self.views = Views.read(target, mask, weights, value_range)
+        self.full = self.views
+        """Those of the target itself, also where renders are smaller, see `at_size`."""
+        self.size: tuple[int, int] | None = None
+        """(h, w) of renders that are smaller than the target; None: they are not."""
+        self._small: Views | None = None
         self.target = self.views.target  # (H, W, 3), packed if there are several views
         self.loss = loss_of(self.views, loss, device=device)
         self.encoder = encoder_of(self.views, _made(encoder, device, for_network))
@@ -191,9 +196,28 @@ class Evaluator:
                 f"the loss {self.loss.name!r} was given as an object, which may be for the old "
                 "target only; give the one for the new target: retarget(picture, loss=...)"
             )
+        return self._with(views, loss or self.loss_name)
+
+    def at_size(self, size: tuple[int, int] | None) -> Evaluator:
+        """The same for renders of (h, w) pixels, of a named loss; None: of the target's size.
+
+        The target is reduced to that size.  Both are enlarged, so that all else keeps its shape.
+        """
+        small, views = None, self.full
+        if size is not None:
+            from fide_plugins.views.sizes import reduced, seen_at
+
+            small = reduced(views, size)
+            views = seen_at(views, small)
+        other = self._with(views, self.loss_name)
+        other.full, other.size, other._small = self.full, size, small
+        return other
+
+    def _with(self, views: Views, loss: str | Callable[..., object] | None) -> Evaluator:
         other = self._copy()
         other.views, other.target = views, views.target
-        other.loss = loss_of(views, loss or self.loss_name, device=self._device)
+        other.full, other.size, other._small = views, None, None
+        other.loss = loss_of(views, loss, device=self._device)
         other.encoder = encoder_of(views, self.encoder)
         if self.comparison is not None:
             other.comparison = other._compared_by(**self.comparison.options)
@@ -245,9 +269,24 @@ class Evaluator:
             raise FeaturesError("tell takes images or their features, not both")
         if images is None:
             return None
-        if self.comparison is not None and self.comparison.background:
+        if self.comparison is None or not self.comparison.background:
+            return self.colors(images, n, on_clip)
+        if self._small is None:
             return with_coverage(self.views, images, n, on_clip)
-        return self.views.as_batch(without_coverage(images, self.views.listed), n, on_clip)
+        return self._enlarged(with_coverage(self._small, images, n, on_clip))
+
+    def colors(self, images: object, n: int, on_clip: OnClip) -> Float32:
+        """The same without coverage; raises ImageError."""
+        plain = without_coverage(images, self.views.listed)
+        if self._small is None:
+            return self.views.as_batch(plain, n, on_clip)
+        return self._enlarged(self._small.as_batch(plain, n, on_clip))
+
+    def _enlarged(self, batch: Float32) -> Float32:
+        from fide_plugins.views.sizes import enlarged
+
+        assert self._small is not None
+        return enlarged(self._small, self.views, batch)
 
     def evaluate(
         self,

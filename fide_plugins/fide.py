@@ -18,13 +18,13 @@ from fide_plugins.comparison.scale_space import ScaleSpace
 from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.evaluation import Evaluation, Evaluator
 from fide_plugins.options import Options, flat, make_options
-from fide_plugins.population import Candidate, CandidateRole, Population
+from fide_plugins.population import CandidateRole, Population
 from fide_plugins.population.candidate import TrainingSample, columns, in_order
 from fide_plugins.proposers import channel_subsets, make_proposer, make_steps
 from fide_plugins.proposers.image_gate import ImageGate
 from fide_plugins.runtime.machine import timed
 from fide_plugins.runtime.messages import warn_user
-from fide_plugins.runtime.schema import array, check, maybe
+from fide_plugins.runtime.schema import array, check, each, maybe, whole
 from fide_plugins.runtime.threads import Lock, one_at_a_time, one_thread
 from fide_plugins.saving import Saved
 from fide_plugins.search.cma_es import default_popsize
@@ -51,6 +51,7 @@ from fide_plugins.views.loss import loss_of
 from fide_plugins.views.same_images import SameImages
 
 if TYPE_CHECKING:
+    from fide_plugins.comparison.kept import Kept
     from fide_plugins.learning.model import Model
     from fide_plugins.search.validity import Validity
     from fide_plugins.status import Status
@@ -155,7 +156,13 @@ class FIDE(Saved):
         self.sigma0 = standard_deviations(sigma0, self.dim)
         self.seed = new_seed(seed)
         self.popsize = o.popsize or default_popsize(self.dim)
-        self.validity = self._validity_of(constraints)
+        self.validity: Validity | None = None
+        if constraints is not None or (self.space is not None and self.space.constraints):
+            from fide_plugins.search.validity import validity_of
+
+            self.validity = validity_of(self.space, constraints, self.seed)
+            if self.validity is not None and self.guess is not None:
+                self.validity.check_guess(self.guess)
         self.has_own_constraints = constraints is not None
         self.evaluator = Evaluator(
             target,
@@ -170,54 +177,44 @@ class FIDE(Saved):
         )
         self.same_images = SameImages(self.popsize)
         self._lock = Lock()
-        model, posterior = self._model_of(learned, self.views.targets)
+        self._model: Model | None = None  # of the renderer, for the next picture, too; never saved
+        posterior = None
+        if learned is not None:
+            self._model, posterior = self._model_of(learned, self.views.targets)
         self.state = self._initial_state(posterior)
-        self._model = model  # of the renderer, so of the next picture, too; it is never saved
-
-    def _validity_of(self, constraints: Callable[[Any], object] | None) -> Validity | None:
-        """Which points may be rendered; None: all.  Raises OptionError for a guess that may not."""
-        if constraints is None and (self.space is None or not self.space.constraints):
-            return None
-        from fide_plugins.search.validity import validity_of
-
-        validity = validity_of(self.space, constraints, self.seed)
-        if validity is not None and self.guess is not None:
-            validity.check_guess(self.guess)
-        return validity
 
     # -- line 1: mu and Sigma; line 2: the denoiser ------------------------------------------------
 
     def _initial_state(self, posterior: Posterior | None = None) -> State:
         """Lines 1 and 2; posterior: of a learned model, where the search begins."""
-        o, k = self.options, self.popsize
+        o, k, learned = self.options, self.popsize, posterior is not None
         subsets = channel_subsets(o, self.encoder)
         layout = None if self.space is None else self.space.layout
         setting = Setting(k, np.broadcast_to(self.sigma0, self.dim), o, layout, self.validity)
         groups: Sequence[Sequence[int]] | None = o.groups
         if groups is None and self.space is not None:
             groups = self.space.largest_family or None  # if there is none, they are tested for
+        follows = o.proposer in ("both", "linear") and o.restarts == "moves"
+        guessed = self.guess is not None and bool(np.max(self.sigma0) <= _ROUGHLY)
         moves = MovePolicy(
             self.x0, setting.sigma0, popsize=k, target=self.target_tokens, channels=subsets[0],
             seed=self.seed, groups=groups, layout=layout, posterior=posterior,
-            descends=self._descends(learned=posterior is not None),
+            descends=o.photo and follows and (learned or guessed),
         )  # fmt: skip
         moves.start = setting.valid_start(moves.start, 1)
-        learned = posterior is not None
+        side = min(min(view.size) for view in self.views.views)
+        may_blur = follows and o.coarse_to_fine is not False and self.loss_name is not None
         scales = ScaleSpace(
             self.views,
-            possible=self._may_blur and not (learned or moves.descends),
+            possible=may_blur and side >= _COARSEST and not (learned or moves.descends),
             at_once=bool(o.coarse_to_fine),
             photo=o.photo,
         )
         if moves.descends and not learned:
             moves.begin_around_guess(np.random.default_rng((self.seed, 2)))
+        if moves.stage is Stage.DESCENT and moves.descents is not None:
             scales.begin_at(moves.descents.share)
         moves.start = scales.patient(moves.start)
-        kept = None
-        if self.evaluator.comparison is not None:
-            from fide_plugins.comparison.kept import Kept
-
-            kept = Kept(self.dim)
         return State(
             rng=np.random.default_rng(self.seed),
             population=Population(),
@@ -229,25 +226,16 @@ class FIDE(Saved):
             memory=Memory(o.memory_mb),
             grain=Grain(self.views),
             scales=scales,
-            kept=kept,
+            kept=self._nothing_kept(),
         )
 
-    def _descends(self, *, learned: bool) -> bool:
-        """Whether the search begins with descents: where a photograph's answer is roughly known."""
-        guessed = self.guess is not None and bool(np.max(self.sigma0) <= _ROUGHLY)
-        return self.options.photo and self._learns and (learned or guessed)
+    def _nothing_kept(self) -> Kept | None:
+        """Room for the best renders; None where they are compared as they are."""
+        if self.evaluator.comparison is None:
+            return None
+        from fide_plugins.comparison.kept import Kept
 
-    @property
-    def _may_blur(self) -> bool:
-        """Whether searches may begin coarse: with features, moves, and a loss of any target."""
-        o, sides = self.options, [side for view in self.views.views for side in view.size]
-        wanted = self._learns and o.coarse_to_fine is not False and min(sides) >= _COARSEST
-        return wanted and self.loss_name is not None
-
-    @property
-    def _learns(self) -> bool:
-        o = self.options
-        return o.proposer in ("both", "linear") and o.restarts == "moves"
+        return Kept(self.dim)
 
     # -- ask: lines 4 and 5 ------------------------------------------------------------------------
 
@@ -261,15 +249,19 @@ class FIDE(Saved):
         generation, candidates are drawn for the next one (`State.preview_search`).
         Who asks for a number may get Gauss-Newton steps before a generation (`proposers.forward`).
         """
+        population = self.state.population
         n = None if n is None else whole_number("n", n, 1)
         with timed(self.times, "search"):
-            if n is None:
-                return self._ask(None)
-            self.state.population.expect(n)
-            steps = self._make_steps(n)
-            rest = n - len(steps)
+            steps = np.empty((0, self.dim))
+            if n is not None:
+                population.expect(n)
+                steps = self._make_steps(n)
+            elif not population.remaining:
+                self.draw_generation()
+            rest = population.remaining if n is None else n - len(steps)
             X = np.concatenate([steps, self._ask(rest)]) if rest else steps
-            self._hand_out_steps(steps)  # last: asking for the rest may fail
+            if len(steps):
+                self._hand_out_steps(steps)  # last: asking for the rest may fail
             return X
 
     @one_at_a_time
@@ -280,16 +272,13 @@ class FIDE(Saved):
             if len(step := self._make_steps(1)):
                 self._hand_out_steps(step)
                 return step
-            if not self.state.population.remaining:
-                self.draw_generation()
-        return self.ask(self.state.population.remaining)
+        return self.ask()
 
-    def _ask(self, n: int | None) -> Float64:
-        """Candidates (n, dim) of this generation and of those that follow; None: what is left."""
+    def _ask(self, n: int) -> Float64:
+        """Candidates (n, d) of this generation and of those that follow."""
         population = self.state.population
         if not population.remaining:
             self.draw_generation()
-        n = n or population.remaining
         population.expect(n)
         if n > population.queued:
             self._train_early()
@@ -308,15 +297,16 @@ class FIDE(Saved):
         first: (m, d), points that are asked first.  None: the user's guess, before all else.
         """
         state, population = self.state, self.state.population
-        guess = None if state.stage is Stage.DESCENT else self.guess  # these begin around it
-        if first is None and not population.size and guess is not None:
-            first = guess[None]
+        searching = state.moves.stage is Stage.SEARCH
+        begins = not population.size and state.moves.stage is not Stage.DESCENT  # around the guess
+        if first is None and begins and self.guess is not None:
+            first = self.guess[None]
         if state.generation_is_fixed and population.has_begun:
             # as many as it has, or, if nothing is pending, as many as it lacks
             n = population.size if population.pending else max(1, population.missing)
             x, _ = state.search.sample(n, state.rng)
             population.draw(x, x, spare=True)
-        elif first is None or state.stage is Stage.SEARCH:
+        elif first is None or searching:
             self.draw(population, state.rng)
         else:  # hypotheses of a model, which all are asked, too
             x = np.concatenate([state.search.clipped(first), state.draw_moves(state.rng)])
@@ -325,7 +315,7 @@ class FIDE(Saved):
             state.steps.end()  # they come before a generation, not in it
         if state.proposer is not None and not state.proposer.lazy:
             self.make_proposals(population, state.rng)
-        if first is not None and state.stage is Stage.SEARCH:  # in the place of its first samples
+        if first is not None and searching:  # in the place of its first samples
             x = state.search.clipped(first)[: population.remaining]
             population.replace(0, x, state.search.closest(x), proposed=np.zeros(len(x), bool))
 
@@ -335,7 +325,7 @@ class FIDE(Saved):
         The last samples of a search are reserved for the proposer, if it is ready.
         """
         state = self.state
-        if state.stage is not Stage.SEARCH:
+        if state.moves.stage is not Stage.SEARCH:
             x = state.draw_moves(rng)
             population.draw(x, x)
             return
@@ -393,25 +383,26 @@ class FIDE(Saved):
 
     def _make_steps(self, n: int) -> Float64:
         """Steps (m, dim) that come before the next generation, at most n."""
-        state, search, target = self.state, self.state.search, self._seen_target
+        state, search, steps = self.state, self.state.search, self.state.steps
         none = np.empty((0, self.dim))
-        if not state.has_steps:
+        between = state.moves.stage is Stage.SEARCH and not state.population.remaining
+        if steps is None or not between or not state.gate.strength > 0:
             return none
-        assert state.steps is not None
         with timed(self.times, "train"):
-            left = state.steps.left(search.popsize, target, search.std)
+            target = self._seen_target
+            left = steps.left(search.popsize, target, search.std)
             if not left:
                 return none
             _, z = search.sample(min(n, left), state.rng)
-            v, model = search.stretched(z), state.steps.forward
-            x = model.propose(v, target, search.mean, search.std, state.rng)
-        return state.steps.new_ones(search.place_proposals(x, z), state.population.is_pending)
+            v = search.stretched(z)
+            x = steps.forward.propose(v, target, search.mean, search.std, state.rng)
+        return steps.new_ones(search.place_proposals(x, z), state.population.is_pending)
 
     def _hand_out_steps(self, x: Float64) -> None:
         """Count steps (m, dim) as asked."""
         state = self.state
-        if len(x) and state.steps is not None:
-            state.steps.taken(len(x))
+        assert state.steps is not None
+        state.steps.taken(len(x))
         for row in zip(x, state.search.closest(x), strict=True):
             state.population.adopt(*row, CandidateRole.STEP)
 
@@ -469,7 +460,7 @@ class FIDE(Saved):
         clipping = self.state.clipping.copy()
         batch = evaluator.as_batch(n, images, losses, features, clipping)
         with timed(self.times, "encode"):  # lines 7 and 9
-            encode = self._encodes and (self.state.blur == 0.0 or given)
+            encode = self.state.proposer is not None and (given or not self.state.scales.blur)
             results = evaluator.evaluate(n, batch, losses, features, version=version, encode=encode)
         self.state.clipping = clipping
         if given and np.isfinite(results.losses).any():  # of a user: not at any blur
@@ -491,43 +482,51 @@ class FIDE(Saved):
     ) -> None:
         """Enter results of points (n, dim), and finish generations, as `decision` says."""
         self.same_images.note(points, results.images, results.losses)
+        state, entered, failure = self.state, 0, None
         with timed(self.times, "search"):
-            self._enter_all(points, results, decision)
-
-    @property
-    def _encodes(self) -> bool:
-        return self.state.proposer is not None
-
-    def _enter_all(
-        self, points: Float64, results: Evaluation, decision: Decision, first: int = 0
-    ) -> None:
-        blur = self.state.blur
-        results = self.evaluator.at_blur(results, blur, encode=self._encodes)
-        for i, result in enumerate(results.of(points, first), first):
-            self.state.record(*result)
-            if self.state.population.complete:
-                try:
-                    self._finish_generation(decision)
-                except BaseException:  # of training; all else goes on as if it had trained
-                    self._enter_all(points, results, decision, i + 1)
-                    raise
-            if self.state.blur != blur:
-                self._enter_all(points, results, decision, i + 1)
-                return
+            while entered < len(points):
+                blur = state.scales.blur
+                encode = state.proposer is not None
+                results = self.evaluator.at_blur(results, blur, encode=encode)
+                for result in results.of(points, entered):
+                    state.record(*result)
+                    entered += 1
+                    if state.population.complete:
+                        try:
+                            self._finish_generation(decision)
+                        except BaseException as error:  # of training; as if it had trained
+                            failure = error
+                    if state.scales.blur != blur:
+                        break
+        if failure is not None:
+            raise failure
 
     def _finish_generation(self, decision: Decision) -> None:
         """Train (line 8) and update the search distribution (line 10)."""
         state = self.state
         members, losses = state.population.close_generation()
         samples = state.take_samples()
-        if state.stage is not Stage.SEARCH:
+        if state.moves.stage is not Stage.SEARCH:
             state.finish_stage(members, losses, samples, self._seen_target)
             return
         try:
             with timed(self.times, "train"):
                 self._train(samples)  # line 8
         finally:  # a generation that taught nothing is not lost
-            self._update_search(members, losses, decision)  # line 10
+            state.update_search(members, losses)  # line 10
+            self._decide(decision)
+
+    def _decide(self, decision: Decision) -> None:
+        """Go on with the search, or elsewhere where it is over."""
+        state, (over, guided) = self.state, decision
+        if guided is None:
+            guided = state.gate.guided
+        if state.begin_coarse(self.views.target):
+            return
+        if over is None:
+            over = self.options.restarts != "none" and state.is_over(guided=guided)
+        if over:
+            state.finish_search(guided=self.options.restarts == "moves" and guided)
 
     def _train(self, samples: list[TrainingSample]) -> None:
         """Line 8: the proposer learns from what was evaluated since the last time."""
@@ -535,15 +534,13 @@ class FIDE(Saved):
         learned, state.learned = state.learned, []
         if state.proposer is None or not (samples or learned):
             return
-        if learned and state.gate.guarded:  # the gate judges the generation as a whole
-            _, tokens, losses = columns(in_order(samples + learned))
+        everything = samples if not learned else in_order(samples + learned)
+        if samples or state.gate.guarded:  # which judges the generation as a whole
+            _, tokens, losses = columns(everything)
             state.gate.note_images(tokens, self._seen_target, losses)
             del tokens
         if samples:
-            x, tokens, losses = columns(samples)  # (n, d), (n, T, C), (n,)
-            if not learned:
-                state.gate.note_images(tokens, self._seen_target, losses)
-            state.proposer.update(x, tokens, losses, state.search.std)
+            state.proposer.update(*columns(samples), state.search.std)
 
     def _train_early(self) -> None:
         """Line 8, before the generation is complete, where each proposal is made when asked for."""
@@ -555,24 +552,6 @@ class FIDE(Saved):
             state.learned += samples
             with timed(self.times, "train"):
                 proposer.update(*columns(samples), state.search.std)
-
-    def _update_search(self, members: list[Candidate], losses: Float64, decision: Decision) -> None:
-        """Line 10."""
-        state = self.state
-        state.gate.note_ranks(losses, np.array([candidate.proposed for candidate in members]))
-        state.search.tell(members, losses, state.take_injected())
-        state.note_mean()
-        if state.steps is not None:
-            state.steps.after_generation()
-        over, guided = decision
-        if guided is None:
-            guided = state.gate.guided
-        if state.begin_coarse(self.views.target):
-            return
-        if over is None:
-            over = self.options.restarts != "none" and state.is_over(guided=guided)
-        if over:
-            state.finish_search(guided=self.options.restarts == "moves" and guided)
 
     def recommend(self) -> Float64:
         """Mean (dim,) of the search distribution that found the best point (line 12).
@@ -656,7 +635,7 @@ class FIDE(Saved):
             best=None if best is None else best.solution.loss,
             improved_at=state.improved_at,
             horizon=max(_STALLED * state.search.popsize, since // 4),
-            ended=state.moves.ended,
+            ended=[optimum.searches for optimum in known.optima.all],
             forgotten=known.optima.forgotten,
             others=others,
             apart=apart,
@@ -693,10 +672,14 @@ class FIDE(Saved):
                 estimate = self.state.estimate_of(sample.x)
                 found.append(replace(one, space=self.space, estimate=estimate))
         points = np.array([one.x for one in found]).reshape(len(found), self.dim)
-        probability = self.state.moves.probabilities([one.loss for one in found], points)
-        if probability is not None:
-            pairs = zip(found, probability.tolist(), strict=True)
-            found = [replace(one, probability=p) for one, p in pairs]
+        hypotheses = self.state.moves.hypotheses
+        if found and hypotheses is not None and hypotheses.available:
+            from fide_plugins.search.hypotheses import probabilities
+
+            losses, noise = [one.loss for one in found], self.state.moves.noise
+            alike = known.exchangeability, known.axes
+            p = probabilities(losses, points, hypotheses.x, hypotheses.typical, noise, *alike)
+            found = [replace(one, probability=x) for one, x in zip(found, p.tolist(), strict=True)]
         return found[:k]
 
     @property
@@ -717,7 +700,7 @@ class FIDE(Saved):
     @property
     def target(self) -> Any:
         """Target (H, W, 3), or a list of them, one for each view, in the values of the user."""
-        return self.views.restored(self.views.targets)
+        return self.views.restored(self.evaluator.full.targets)
 
     @property
     def encoder(self) -> PatchEncoder:
@@ -763,8 +746,6 @@ class FIDE(Saved):
 
     def _model_of(self, learned: Any, target: Any) -> tuple[Model | None, Posterior | None]:
         """A learned model, or that of a file, and what it says of a target."""
-        if learned is None:
-            return None, None
         from fide_plugins.learning.hypotheses import as_model, posterior_of
 
         model = as_model(learned)
@@ -788,7 +769,7 @@ class FIDE(Saved):
         Where something else comes first, such as hypotheses of a learned model, nothing happens.
         """
         state = self.state
-        if state.stage is Stage.SEARCH and not state.population.generations:
+        if state.moves.stage is Stage.SEARCH and not state.population.generations:
             state.begin_at(x)
 
     @one_at_a_time
@@ -828,17 +809,18 @@ class FIDE(Saved):
         CheckpointError for a file that is no model, before anything changes.
         """
         evaluator = self.evaluator.retargeted(picture, loss)
-        learned = self._model if learned is None else learned
-        model, posterior = self._model_of(learned, evaluator.views.targets)
+        learned, posterior = self._model if learned is None else learned, None
+        model: Model | None = None
+        if learned is not None:
+            model, posterior = self._model_of(learned, evaluator.views.targets)
         state = self.state
         with timed(self.times, "search"):
             recalled = state.recall(evaluator.target_tokens, self.guess, self.popsize)
-            moves, known = state.moves, bool(recalled.samples)
-            if posterior is not None and known and moves.is_wider(posterior, recalled.start):
+            known = bool(recalled.samples)
+            if posterior is not None and known and state.moves.is_wider(posterior, recalled.start):
                 posterior = None  # the memory says more exactly where the answer is
             self.evaluator, self._model = evaluator, model
-            if state.kept is not None:
-                state.kept = type(state.kept)(self.dim)  # the old were of another picture
+            state.kept = self._nothing_kept()  # the old were of another picture
             state.retarget(evaluator.target_tokens, recalled.start, posterior)
             if posterior is None:
                 state.teach(recalled.samples, recalled.start.std, self.popsize)
@@ -866,7 +848,7 @@ class FIDE(Saved):
     def settings(self) -> dict[str, Any]:
         """Arguments of the constructor, but for `loss` and `device`; the target is in [0, 1]."""
         given = {name: getattr(self, name) for name in _ARGUMENTS}
-        given |= {"target": self.views.targets, "x0": self.guess}
+        given |= {"target": self.evaluator.full.targets, "x0": self.guess}
         space = None if self.space is None else self.space.to_dict()
         own = {"popsize": self.popsize, "space": space, "constraints": self.has_own_constraints}
         return given | flat(self.options) | own
@@ -898,7 +880,8 @@ class FIDE(Saved):
         comparison = self.evaluator.comparison
         how = None if comparison is None else comparison.state_dict()
         versions = self.evaluator.versions
-        return {**self.state.state_dict(), "versions": versions, "comparison": how}
+        size = {} if self.evaluator.size is None else {"size": list(self.evaluator.size)}
+        return {**self.state.state_dict(), "versions": versions, "comparison": how, **size}
 
     @one_at_a_time
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
@@ -908,7 +891,11 @@ class FIDE(Saved):
         state = dict(state)
         self.evaluator.check_versions(state.pop("versions"))
         before = self.evaluator
-        self.evaluator = before.comparing(state.pop("comparison"))
+        size = state.pop("size", None)
+        check(size, maybe(each(whole(1))), {}, "size")
+        size = None if size is None else tuple(size)
+        sized = before if size == before.size else before.at_size(size)
+        self.evaluator = sized.comparing(state.pop("comparison"))
         try:
             fresh = self._initial_state()
             (height, width, _), (tokens, channels) = self.views.target.shape, self.features_shape

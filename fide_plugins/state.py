@@ -115,13 +115,7 @@ class State:
     @property
     def generation_is_fixed(self) -> bool:
         """Whether the present generation, a test, needs exactly the candidates drawn for it."""
-        return self.stage is not Stage.SEARCH and not self.moves.has_more
-
-    @property
-    def has_steps(self) -> bool:
-        """Whether steps may come now: between two generations of a search that images guide."""
-        between = self.stage is Stage.SEARCH and not self.population.remaining
-        return self.steps is not None and between and self.gate.strength > 0
+        return self.moves.stage is not Stage.SEARCH and not self.moves.has_more
 
     def preview_search(self) -> Search | None:
         """Return the search as it would be updated now; nothing else changes.
@@ -132,9 +126,11 @@ class State:
         """
         population = self.population
         enough = max(_FEWEST, _ENOUGH * population.size)
-        if self.stage is not Stage.SEARCH or population.evaluated < enough:
+        if self.moves.stage is not Stage.SEARCH or population.evaluated < enough:
             return None
         return self.search.preview(*population.members())
+
+    # -- results -----------------------------------------------------------------------------------
 
     def record(
         self,
@@ -151,90 +147,97 @@ class State:
         finite = bool(np.isfinite(loss) and np.isfinite(told))
         loss, told = (loss, told) if finite else (np.inf, np.inf)
         candidate = self.population.record(x, told)
-        number = self.population.new_index() if candidate is None else candidate.index
         if candidate is None:
+            number = self.population.new_index()
             exact = x = self.search.clipped(x[None])[0]  # what is rendered at x
         else:
-            exact = candidate.x  # x may have lost digits on its way
+            number, exact = candidate.index, candidate.x  # x may have lost digits on its way
         if finite:
             if tokens is not None:
-                sample = TrainingSample(number, exact.copy(), tokens, told, self.evaluations)
-                self._keep(sample)
-            if image is not None:
-                self._note_image(number, exact, image)
+                self._keep(TrainingSample(number, exact.copy(), tokens, told, self.evaluations))
+            if image is not None and self.scales.useful is None:
+                self.scales.note(number, exact, image.copy())
+            repeats = self.moves.stage is Stage.EXCHANGE
+            if image is not None and repeats and (exact == self.moves.known.current.x).all():
+                self.grain.note(image.copy())
             other = candidate is None or candidate.role is CandidateRole.STEP
             if other and (self.injected is None or told < self.injected[1]):
                 self.injected = (x, told)
             if self.best is None or (loss, number) < (self.best.solution.loss, self.best.index):
                 shown = None if image is None else image.copy()
                 solution = Solution(x.copy(), loss, self.evaluations, shown)
-                searched = candidate is not None and self.stage is Stage.SEARCH
-                self._improve(solution, number, searched=searched and not self._is_start(exact))
+                self._improve(solution, number, None if candidate is None else exact)
         self.not_finite += not finite
         self.evaluations += 1
 
-    def _note_image(self, number: int, x: Float64, image: Float32) -> None:
-        """Note what the image of candidate `number`, x (d,), says of blurs and of noise."""
-        if self.scales.useful is None:
-            self.scales.note(number, x, image.copy())
-        if self.stage is Stage.EXCHANGE and np.array_equal(x, self.moves.known.current.x):
-            self.grain.note(image.copy())
-
-    def _is_start(self, x: Float64) -> bool:
-        """Whether the search began at x (d,): then x was given, or found before, not by it."""
-        return np.array_equal(x, self.search.clipped(self.moves.start.mean[None])[0])
-
-    def _improve(self, solution: Solution, number: int, *, searched: bool) -> None:
-        """Note the best point so far, candidate `number`; whether a search has asked it."""
+    def _improve(self, solution: Solution, number: int, asked: Float64 | None) -> None:
+        """Note the best point so far, candidate `number`; asked: (d,), if it was a candidate."""
         if self.best is None or solution.loss < self.improved_to - _GAIN * abs(self.improved_to):
             self.improved_at, self.improved_to = self.evaluations, solution.loss
-        x = solution.x
-        mean, search_number = (self.search.mean, self.searches) if searched else (x.copy(), 0)
+        mean, search_number = solution.x.copy(), 0
+        if asked is not None and self.moves.stage is Stage.SEARCH:
+            start = self.search.clipped(self.moves.start.mean[None])[0]
+            if not np.array_equal(asked, start):  # which was given, or found before, not by it
+                mean, search_number = self.search.mean, self.searches
         self.best = Best(solution, number, mean, search_number)
 
     def _keep(self, sample: TrainingSample) -> None:
         """Remember a sample until the generation is complete; too many of them, the latest."""
-        if not self.blur:
+        if not self.scales.blur:
             self.memory.add(sample)
         self.samples.append(sample)
         if self.steps is not None:
             self.steps.add(sample)
         if len(self.samples) > _MOST_INJECTED + 2 * self.population.size:
             del self.samples[0]
-        if self.stage not in (Stage.SEARCH, Stage.RESTART):
+        if self.moves.stage not in (Stage.SEARCH, Stage.RESTART):
             return  # tests of the scene are no place where a search ends
         best = self.search_best
         if best is None or (sample.loss, sample.index) < (best.loss, best.index):
             self.search_best = sample
-
-    def take_injected(self) -> tuple[Float64, float] | None:
-        """Best point (d,) that is no member of this generation, with its loss; once."""
-        point, self.injected = self.injected, None
-        return point
-
-    def note_mean(self) -> None:
-        """Follow the mean of the search that found the best point, as long as it goes on."""
-        if self.best is not None and self.best.search_number == self.searches:
-            self.best = replace(self.best, mean=self.search.mean)
 
     def take_samples(self) -> list[TrainingSample]:
         """Samples since the last call, in the order in which they were asked."""
         samples, self.samples = in_order(self.samples), []
         return samples
 
+    # -- the end of a generation -------------------------------------------------------------------
+
+    def update_search(self, members: list[Candidate], losses: Float64) -> None:
+        """Line 10 of Algorithm 1: the distribution learns from members and their losses (k,)."""
+        self.gate.note_ranks(losses, np.array([candidate.proposed for candidate in members]))
+        self.search.tell(members, losses, self.injected)
+        self.injected = None
+        if self.best is not None and self.best.search_number == self.searches:
+            self.best = replace(self.best, mean=self.search.mean)
+        if self.steps is not None:
+            self.steps.after_generation()
+
+    def is_over(self, *, guided: bool) -> bool:
+        """Whether the present search is over; guided: whether images guide it.
+
+        A coarse one is, too, where it is as narrow as its blur.
+        """
+        if self.scales.blur:
+            reach = self.scales.reach
+            return self.search.is_over(guided=True) or bool((self.search.std < reach).all())
+        return self.search.is_over(guided=guided or self.scales.asked)
+
     def finish_search(self, *, guided: bool) -> None:
         """Go on elsewhere; what the best of all searches found is kept.
 
         guided: whether images say where.
         """
-        if self.blur:
-            self._go_finer()
+        if self.scales.blur:  # the next of a series begins where this one has arrived
+            spread, x = self.search.std, self._arrived
+            widest = self.scales.go_on() * self.search.setting.sigma0
+            self.moves.start = Start(x, np.minimum(widest, NEXT * spread))
+            self._begin_at_blur()
             return
         spent = self.evaluations - self.over_at
-        guided = guided or self.scales.asked
-        stage = self.moves.after_search(self.search_best, spent, guided=guided)
+        self.moves.after_search(self.search_best, spent, guided=guided or self.scales.asked)
         self.search_best, self.over_at = None, self.evaluations
-        self._go_on(stage)
+        self._go_on()
 
     def finish_stage(
         self,
@@ -249,31 +252,46 @@ class State:
         """
         asked = {candidate.index for candidate in members}
         own = [sample for sample in samples if sample.index in asked]
-        descending = self.stage is Stage.DESCENT
-        stage = self.moves.learn(own, members[int(np.argmin(losses))].x, target)
+        descending = self.moves.stage is Stage.DESCENT
+        self.moves.learn(own, members[int(np.argmin(losses))].x, target)
         if descending:
             self.injected = None  # its loss is of this blur
             self.scales.begin_at(0.0)
-        self._go_on(stage)
+        self._go_on()
 
-    def _go_on(self, stage: Stage) -> None:
+    def _go_on(self) -> None:
         """Forget the generation; begin another search, if that comes next."""
         self.grain.forget_repeat()
         self.population.forget_pending()
-        if stage is Stage.SEARCH:
+        if self.moves.stage is Stage.SEARCH:
             self._begin_search()
-        elif stage is Stage.DESCENT:
+        elif self.moves.stage is Stage.DESCENT and self.moves.descents is not None:
             self.scales.begin_at(self.moves.descents.share)
-        elif stage is Stage.RESTART and self.moves.begins_coarse:
+        elif self.moves.stage is Stage.RESTART and self.moves.begins_coarse:
             self.scales.begin()
+
+    def _begin_search(self) -> None:
+        """Begin where the moves say; what proposers and steps learned was of the last search."""
+        self.searches += 1
+        self.moves.start = self.search.setting.valid_start(self.moves.start, self.searches)
+        self.search = self.new_search()
+        for part in (self.proposer, self.steps):
+            if part is not None:
+                part.forget()
+
+    def new_search(self) -> Search:
+        """A search where the moves say; patient where it is coarse, and without a goal."""
+        self.moves.start = self.scales.patient(self.moves.start)
+        goal = np.inf if self.scales.blur else self.moves.goal
+        return Search(self.moves.start, goal, self.search.setting)
 
     def begin_descents(self) -> bool:
         """Begin descents at the best renders, `kept`, if there are to be any; returns whether."""
         kept = self.kept
         if kept is None or not len(kept) or not self.moves.descends:
             return False
-        found = list(zip(kept.losses.tolist(), kept.x, strict=True))
-        self._go_on(self.moves.begin_descents(found))
+        self.moves.begin_descents(list(zip(kept.losses.tolist(), kept.x, strict=True)))
+        self._go_on()
         return True
 
     # -- coarse to fine ----------------------------------------------------------------------------
@@ -283,18 +301,10 @@ class State:
         """Standard deviation in pixels of the blur at which images are compared; 0: sharp."""
         return self.scales.blur
 
-    def is_over(self, *, guided: bool) -> bool:
-        """Whether the present search is over; guided: whether images guide it.
-
-        A coarse one is, too, where it is as narrow as its blur.
-        """
-        if self.blur:
-            reach = self.scales.reach
-            return self.search.is_over(guided=True) or bool((self.search.std < reach).all())
-        return self.search.is_over(guided=guided or self.scales.asked)
-
     def begin_coarse(self, target: Float32) -> bool:
         """Begin the first search again, coarse, if its first candidates say so; target: packed."""
+        if self.scales.useful is not None:
+            return False
         start = self.moves.start.mean
         x = self.scales.decide(target, self.gate.agreement, start, self.kept)
         self._let_moves_know()
@@ -317,7 +327,7 @@ class State:
 
     def stay_sharp(self) -> None:
         """Compare sharp images from now on; a coarse search goes on as a sharp one."""
-        coarse = self.blur > 0
+        coarse = self.scales.blur > 0
         self.scales.give_up()
         self.moves.descends = False
         self._let_moves_know()
@@ -326,24 +336,20 @@ class State:
             self.moves.stage, self.moves.start = Stage.SEARCH, Start(self._arrived, self.search.std)
             self._begin_at_blur()
 
-    def _go_finer(self) -> None:
-        """Begin the next search of a series where the last one has arrived, less blurred."""
-        spread, x = self.search.std, self._arrived
-        widest = self.scales.go_on() * self.search.setting.sigma0
-        self.moves.start = Start(x, np.minimum(widest, NEXT * spread))
-        self._begin_at_blur()
-
     def _begin_at_blur(self) -> None:
         """Begin a search; what was evaluated at another blur is forgotten."""
         self.samples, self.learned = [], []
         self.search_best = self.injected = None
-        self._go_on(Stage.SEARCH)
+        self.moves.stage = Stage.SEARCH
+        self._go_on()
 
     @property
     def _arrived(self) -> Float64:
         """Best candidate (d,) of the present search, by the loss that it is told."""
         best = self.search_best
         return self.search.render_mean(self.search.mean) if best is None else best.x.copy()
+
+    # -- other places and pictures -----------------------------------------------------------------
 
     def begin_after(self, evaluations: int) -> None:
         """Count on from so many evaluations, and what has happened since from there."""
@@ -403,22 +409,6 @@ class State:
             for i, sample in enumerate(samples):
                 self.steps.add(replace(sample, index=i))
 
-    def _begin_search(self) -> None:
-        """Begin where the moves say; what proposers and steps learned was of the last search."""
-        self.searches += 1
-        start = self.search.setting.valid_start(self.moves.start, self.searches)
-        self.moves.start = start = self.scales.patient(start)
-        self.search = Search(start, self._goal, self.search.setting)
-        if self.proposer is not None:
-            self.proposer.forget()
-        if self.steps is not None:
-            self.steps.forget()
-
-    @property
-    def _goal(self) -> float:
-        """Loss that the search has to beat; blurred, it cannot be compared."""
-        return np.inf if self.blur else self.moves.goal
-
     def draw_moves(self, rng: np.random.Generator) -> Float64:
         """Candidates (n, d) of the present stage, which must not be SEARCH; valid ones only."""
         validity, moves = self.search.setting.validity, self.moves
@@ -461,7 +451,7 @@ class State:
     @property
     def _ends(self) -> list[TrainingSample]:
         ends = [optimum.sample for optimum in self.moves.known.optima.all]
-        return ends if self.search_best is None or self.blur else [*ends, self.search_best]
+        return ends if self.search_best is None or self.scales.blur else [*ends, self.search_best]
 
     def state_dict(self) -> dict[str, Any]:
         """All of it as nested dicts of arrays, tensors and numbers, those in use, not copies."""
@@ -494,7 +484,7 @@ class State:
         if self.proposer is None and len(self.population.reserved):
             raise ValueError("candidates are reserved for proposals, and nothing is proposed")
         self._let_moves_know()
-        self.search = Search(self.moves.start, self._goal, self.search.setting)
+        self.search = self.new_search()
         self.search.load_state_dict(state["search"])
         self.best = None if state["best"] is None else Best.from_state(state["best"])
         self.samples = [sample(one) for one in state["samples"]]

@@ -22,13 +22,15 @@ from fide_plugins.fitting.failures import (
     FitError,
     suspicion_of,
 )
+from fide_plugins.fitting.fidelity import StoppingFine, WorkersAsked
 from fide_plugins.fitting.loop import Loop
 from fide_plugins.fitting.pictures import as_compared, as_told, best_compared, canonical, shown
 from fide_plugins.fitting.rendering import Failed, Outcome, Renderer
 from fide_plugins.fitting.result import Result, histories
 from fide_plugins.fitting.saved_run import SavedRun, Unsaved
+from fide_plugins.fitting.schedule import Schedule
 from fide_plugins.fitting.stopping import Stopping
-from fide_plugins.fitting.workers import Workers
+from fide_plugins.fitting.workers import Workers, gathered
 from fide_plugins.recording.directory import note_unsaved
 from fide_plugins.recording.record import Record
 from fide_plugins.recording.signals import Interrupted, Interrupts
@@ -72,6 +74,7 @@ class Fitting:
         checkpoint_every: float = 5.0,
         plan: Mapping[str, Any] | None = None,
         max_failures: float = 1.0,
+        schedule: Schedule | None = None,
     ) -> None:
         self.optimizer, self.record, self.saved = optimizer, record or Record(), saved
         self._renderer, self._workers, self._stopping = renderer, workers, stopping
@@ -84,6 +87,14 @@ class Fitting:
         self._shown_at = 0.0
         self._std: Float64 | None = None
         self._std_renders = 0
+        self._schedule = schedule
+        if schedule is not None:
+            if self.record.fineness is None:
+                schedule.begin()
+            else:
+                schedule.load_state_dict(self.record.fineness)
+            self._workers = WorkersAsked(workers, schedule)
+            self._stopping = StoppingFine.around(stopping, schedule)
 
     def execute(self) -> Result:
         """Fit until a rule says stop; raises what `fit` does, after saving what was computed."""
@@ -113,12 +124,24 @@ class Fitting:
         loop.stopped = loop.over()
         if loop.stopped is None and self._callbacks.call("on_start", self._as_run()):
             loop.stopped = "callback"
-        return loop.run()
+        stopped = loop.run()
+        if stopped != "callback":
+            self._judge()
+        return stopped
+
+    def _judge(self) -> None:
+        """Render the best candidate as finely as possible, where that was not done."""
+        if self._schedule is None or (X := self._schedule.rise_to_finest()) is None:
+            return
+        for outcome in gathered(self._workers, X, self._timeout):
+            self.tell(X, outcome)
 
     # -- steps of the loop -------------------------------------------------------------------------
 
     def ask(self) -> Float64:
         """Next candidate (1, d); after the first ones have all failed, a random place."""
+        if self._schedule is not None and (X := self._schedule.ask()) is not None:
+            return X
         if not self._is_lost:
             return self.optimizer.ask(1)
         return self.optimizer.random_point(self._failures.count + self._loop.busy)[None]
@@ -130,6 +153,12 @@ class Fitting:
 
     def tell(self, X: Float64, outcome: Outcome) -> bool:
         """Tell the outcome of X (1, d), or withdraw it; returns whether it is the best so far."""
+        if self._schedule is not None:
+            answer = self._schedule.received(X[0], outcome)
+            if answer == "again":
+                self._loop.put_back(X)
+            if answer != "tell":
+                return False
         if isinstance(outcome, Failed):
             self._withdraw(X, outcome)
             return False
@@ -158,6 +187,9 @@ class Fitting:
             self._comparisons, improved = changes, False
             r.keep_only(best.solution)
         self._loop.whole = True
+        if self._schedule is not None:
+            spent, left = self._stopping.spent(r.evaluations, r.wall_s)
+            self._schedule.note(X[0], loss, spent=spent, left=left - self._loop.busy)
         self._failures.note_image()
         if self._callbacks:
             self._call_back(X[0], image, loss, improved)
@@ -227,6 +259,8 @@ class Fitting:
         """Enter what was asked and not told in the record, so that it may be saved."""
         r = self.record
         r.pending, r.failures = self._loop.pending, self._failures.count
+        if self._schedule is not None:
+            r.fineness = self._schedule.state_dict()
         del r.generations[:]
         if asked := r.evaluations + len(r.pending):
             r.generations.append(asked)  # one generation that never waits

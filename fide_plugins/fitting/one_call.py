@@ -11,16 +11,19 @@ from typing import Any
 from fide_plugins.errors import OptionError
 from fide_plugins.fide import FIDE
 from fide_plugins.fitting.callbacks import Callbacks, check_progress
+from fide_plugins.fitting.fidelity import Fidelity, schedule_for
 from fide_plugins.fitting.fitting import Fitting
 from fide_plugins.fitting.rendering import Renderer
 from fide_plugins.fitting.result import Result
 from fide_plugins.fitting.saved_run import SavedRun, features_of, seed_there, settings_of
+from fide_plugins.fitting.schedule import Schedule
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers import default_number, workers_for
 from fide_plugins.learning.hypotheses import with_model
 from fide_plugins.options import check_known
 from fide_plugins.recording.sources import of_files, of_losses, of_models, of_weights
 from fide_plugins.recording.storage import is_saved
+from fide_plugins.renderers.keywords import keywords_of
 from fide_plugins.runtime.registry import fingerprint_of, own_name
 from fide_plugins.space import Space
 from fide_plugins.validation.options import check_names, positive_fraction, seconds_of, switch
@@ -32,7 +35,7 @@ _GIVEN = ("self", "dim", "target", "seed")  # arguments of the optimizer that th
 
 
 def fit(
-    render: Callable[[Any], object],
+    render: Callable[..., object],
     target: object,
     space: Space | int,
     budget: int | None = 2000,
@@ -54,6 +57,7 @@ def fit(
     resume: bool = False,
     progress: object = None,
     value_range: object = None,
+    fidelity: Fidelity | bool | None = None,
     **options: Any,
 ) -> Result:
     """Find the parameters whose image is the target.
@@ -118,6 +122,10 @@ def fit(
         two numbers, the values of target and renders that are black and white, such as (0, 10), or
         "auto": from the target.  Images come back in these values; losses are of images scaled to
         [0, 1].
+    fidelity
+        how small, and of how few samples, renders may be: `Fidelity(size=(32, 256), samples=(1,
+        64))`, for a `render` with keyword arguments size=(h, w), samples=n or seed=s.  None: where
+        its signature has them.  False: always the finest.
     **options
         options of `FIDE`, such as `loss`, `encoder`, `preset`, `weights`, `x0`.
 
@@ -154,13 +162,14 @@ def fit(
         resume=resume,
         progress=progress,
         max_failures=positive_fraction("max_failures", max_failures),
+        fidelity=fidelity,
         options=_given(mask=mask, learned=learned, constraints=constraints, value_range=value_range)
         | options,
     ).execute()
 
 
 def prepare(
-    render: Callable[[Any], object],
+    render: Callable[..., object],
     target: object,
     space: Space | int,
     *,
@@ -178,6 +187,7 @@ def prepare(
     command: Sequence[str] | None = None,
     check: Callable[[FIDE], None] | None = None,
     max_failures: float = 1.0,
+    fidelity: Fidelity | bool | None = None,
 ) -> Fitting:
     """Check the arguments, and make or resume a fit; nothing is rendered yet.
 
@@ -197,23 +207,25 @@ def prepare(
     options = dict(options or {})
     check_names(options, _GIVEN, "is no option of the optimizer, but an argument of the fit")
     optimizer = _optimizer(render, target, space, seed, options, out if resume else None)
-    renderer = Renderer(render, optimizer.space, raw=optimizer.value_range is not None)
+    schedule = schedule_for(render, fidelity, optimizer)
+    keywords = {} if schedule is None else schedule.finest()
+    renderer = Renderer(render, optimizer.space, optimizer.value_range is not None, keywords)
     pool = workers_for(renderer, number, executor, limit)
     if check is not None:
         check(optimizer)
-    plan = _plan(render, optimizer, stopping, options)
+    plan = _plan(render, optimizer, stopping, options, schedule)
     record, saved = None, None
     if out is not None:
         record = (saved := SavedRun(out, **plan, resume=resume, command=command)).begin(optimizer)
     return Fitting(
         optimizer, renderer, pool, stopping, watchers, record, saved, plan=plan,
         timeout=limit, progress=progress, checkpoint_every=checkpoint_every,
-        max_failures=max_failures,
+        max_failures=max_failures, schedule=schedule,
     )  # fmt: skip
 
 
 def _optimizer(
-    render: Callable[[Any], object],
+    render: Callable[..., object],
     target: object,
     space: Space | int,
     seed: int | None,
@@ -229,10 +241,16 @@ def _optimizer(
 
 
 def _plan(
-    render: Callable[[Any], object], optimizer: FIDE, stopping: Stopping, options: dict[str, Any]
+    render: Callable[..., object],
+    optimizer: FIDE,
+    stopping: Stopping,
+    options: dict[str, Any],
+    schedule: Schedule | None,
 ) -> dict[str, Any]:
     name = own_name(render)
     settings = settings_of(name, optimizer, options)
+    if schedule is not None:
+        settings["fidelity"] = schedule.options
     facts: dict[str, Any] = {}
     if callable(options.get("encoder")):  # others are known by name and version
         facts["features"] = features_of(optimizer)
@@ -254,8 +272,9 @@ def _check_render(render: object, named: bool) -> None:
         form = signature(render, follow_wrapped=False)
     except (TypeError, ValueError):  # of some functions of C nobody knows it
         return
+    needed = {name for name, default in keywords_of(render).items() if default is form.empty}
     try:
-        form.bind(None)
+        form.bind(None, **dict.fromkeys(needed))
     except TypeError as error:
         what, adapted = "dictionary", "lambda p: render(**p)"
         if not named:

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fide_plugins.comparison.coverage import without_coverage
 from fide_plugins.errors import ImageError
 from fide_plugins.types import Float32
 from fide_plugins.validation.pixels import Clipping
@@ -54,8 +53,7 @@ def canonical(optimizer: FIDE, image: Any) -> Float32:
     Several views are packed, see `shown`.  Values outside [0, 1] are clipped without a warning:
     `FIDE.tell` has given one, or will.
     """
-    told = without_coverage(as_told(optimizer, image), optimizer.views.listed)
-    packed: Float32 = optimizer.views.as_batch(told, 1, Clipping().note)[0]
+    packed: Float32 = optimizer.evaluator.colors(as_told(optimizer, image), 1, Clipping().note)[0]
     return packed
 
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 import pickle
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from typing import Any, TypeAlias, TypeVar
 
@@ -39,6 +39,8 @@ class Rendered:
 
     image: Any
     seconds: float
+    fineness: Any = None
+    """At which it was rendered, see `fitting.fidelity`; None: nobody asked for any."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +58,7 @@ class Failed:
     names_params: bool = False
     broken: bool = False
     killed: bool = False
+    fineness: Any = None
 
     @classmethod
     def by(cls, error: BaseException) -> Failed:
@@ -104,26 +107,29 @@ class Renderer:
     """The user's function of a dictionary, or of x (d,) where there is no space.
 
     raw: whether numbers of image files are wanted as they are stored, for a range of values.
+    keywords: further arguments of a point that comes without its own, such as the size.
     """
 
-    render: Callable[[Any], Any]
+    render: Callable[..., Any]
     space: Space | None
     raw: bool = False
+    keywords: Mapping[str, Any] = field(default_factory=dict)
 
     def params(self, x: Float64) -> Any:
         """Argument of the user's function for a point x (d,)."""
         return x.copy() if self.space is None else self.space.decode(x)
 
-    def __call__(self, x: Float64) -> Outcome:
-        """Image of the point x (d,) of the cube."""
+    def __call__(self, x: Any) -> Outcome:
+        """Image of the point x (d,) of the cube, or of a pair of it and keyword arguments."""
         start = time.perf_counter()
-        image = attempt(lambda: self._image(x))
+        point, keywords = x if isinstance(x, tuple) else (x, self.keywords)
+        image = attempt(lambda: self._image(point, keywords))
         if isinstance(image, Failed):
             return image
         return Rendered(image, time.perf_counter() - start)
 
-    def _image(self, x: Float64) -> Any:
-        image = self.render(self.params(x))
+    def _image(self, x: Float64, keywords: Mapping[str, Any]) -> Any:
+        image = self.render(self.params(x), **keywords)
         try:
             return _in_memory(image, self.raw)
         except ImageError as error:

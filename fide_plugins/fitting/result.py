@@ -59,6 +59,7 @@ class Result:
         "callback", "interrupted" or "failed"; of a run that was read also "running", and "finished"
         where it has one rule only.
     out: run directory; None without.
+    cost: of all renders, in full ones, by pixels times samples; see `Fidelity`.
     std_renders: renders around the answer at the end, beside the evaluations, from which
         `best.std` is computed; 0: it is rough, from samples of the search, or was read.
     value_range: values of target and images that are black and white; None: 0 and 1.
@@ -85,6 +86,7 @@ class Result:
     busy: float
     stopped: str
     out: Path | None
+    cost: float
     std_renders: int = 0
     clipped: int = 0
     value_range: tuple[float, float] | None = None
@@ -197,6 +199,7 @@ def histories(record: Record, dim: int) -> dict[str, Any]:
         "improved_at": np.array(record.improvements, np.intp),
         "path": np.array(record.path).reshape(len(record.path), dim),
         "evaluations": record.evaluations,
+        "cost": record.cost,
         "seconds": record.wall_s,
     }
 

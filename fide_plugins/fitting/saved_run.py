@@ -68,7 +68,7 @@ class SavedRun:
         with ExitStack() as refused:
             refused.callback(self.close)
             record = self.restore(optimizer)
-            target = optimizer.evaluator.target
+            target = optimizer.evaluator.full.target
             self._directory.write_target(
                 picture(optimizer, target), _in_user_values(optimizer, target)
             )
@@ -139,6 +139,7 @@ class SavedRun:
         more = {
             "failures": record.failures,
             "clipped": optimizer.clipped,
+            "cost": record.cost,
             "solutions": solutions_as_data(solutions),
         }
         writes = [
@@ -155,7 +156,7 @@ class SavedRun:
             for image in (result.first_image, result.reference)
         )
         shown = replace(result, first_image=first, image=best, reference=best)
-        target = picture(optimizer, optimizer.evaluator.target)
+        target = picture(optimizer, optimizer.evaluator.full.target)
         self._directory.write_summary(shown, target, counting(optimizer.weights, optimizer.target))
 
 
@@ -198,7 +199,7 @@ def settings_of(name: str, optimizer: FIDE, options: Mapping[str, Any]) -> dict[
     name: of what renders; options: of the optimizer, as the user gave them.  Arrays are recorded by
     their digest; a starting point, its width and groups as the optimizer has made them.
     """
-    target = optimizer.evaluator.target
+    target = optimizer.evaluator.full.target
     space = optimizer.space
     made = {
         "x0": None if optimizer.guess is None else optimizer.guess.tolist(),

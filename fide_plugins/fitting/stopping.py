@@ -87,6 +87,15 @@ class Stopping:
             return code
         return "stalled" if self.until == "stalled" and _is_stalled(code, optimizer) else None
 
+    def spent(self, evaluations: int, seconds: float) -> tuple[float, float]:
+        """Share of budget or time that is spent, the larger; and renders left of the budget."""
+        left = np.inf if self.budget is None else self.budget - evaluations
+        shares = (
+            0.0 if self.budget is None else evaluations / self.budget,
+            0.0 if self.seconds is None else seconds / self.seconds,
+        )
+        return max(shares), left
+
     def record(self) -> dict[str, Any]:
         """The rules, for a file."""
         found = {"budget": self.budget, "time": self.seconds, "stop_at": self.stop_at}

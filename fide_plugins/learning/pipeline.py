@@ -50,7 +50,7 @@ _EMULATOR_RATE = 2e-3
 
 def blocks_of(renderer: BatchRenderer, groups: Sequence[Sequence[int]] | None) -> list[list[int]]:
     """Exchangeable blocks of axes, see `learn`; raises OptionError for what are none."""
-    from fide_plugins.search.exchangeability import check_groups
+    from fide_plugins.search.scene import check_groups
 
     if groups is None:
         own = [] if renderer.space is None else renderer.space.largest_family

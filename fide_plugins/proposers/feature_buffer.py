@@ -17,15 +17,13 @@ from fide_plugins.runtime.schema import Schema, Sides, Stateful, array, check, w
 from fide_plugins.types import Float64, Indices, Mask
 
 MOST = 600  # candidates: each generation costs a regression on as many
+NEGLIGIBLE = 1e-6
+_FEW = 8  # leaving out fewer than one in so many is not worth the copy
 
 
 def for_jacobian(dim: int) -> int:
     """Candidates to which a Jacobian of d parameters is fitted: 4 d + 20, at most `MOST`."""
     return min(4 * dim + 20, MOST)
-
-
-NEGLIGIBLE = 1e-6
-_FEW = 8  # leaving out fewer than one in so many is not worth the copy
 
 
 class FeatureBuffer(Stateful):
@@ -39,8 +37,7 @@ class FeatureBuffer(Stateful):
     channels: so many leading ones; None: all.
     select: leave out tokens that do not vary.
     features: (n, f), deviations from the origin, of the tokens in use.
-    gram: (n, n).  origin: (T, C).
-    used: (T,), the tokens that are not left out.
+    gram: (n, n).  origin: (T, C).  used: (T,), the tokens that are not left out.
     """
 
     SCHEMA: ClassVar[dict[str, Schema]] = {
@@ -61,11 +58,6 @@ class FeatureBuffer(Stateful):
         self._toward: tuple[Tensor, Float64] | None = None  # a target, its products with all images
 
     @property
-    def tokens(self) -> int:
-        """How many tokens are in use."""
-        return int(self.used.sum())
-
-    @property
     def rounding(self) -> float:
         """Energy of features below which there are only their last digits."""
         return float(1e-14 * np.square(self.origin[self.used]).sum())
@@ -79,9 +71,12 @@ class FeatureBuffer(Stateful):
             self.used = np.full(len(self.origin), not self.select)
             self.features = np.empty((0, int(self.used.sum()) * seen.shape[2]))
         deviations = (seen - self.origin)[-capacity:]
-        self._forget(max(0, len(self.features) + len(deviations) - capacity))
-        if self.select:
-            self._take_up(deviations)
+        surplus = max(0, len(self.features) + len(deviations) - capacity)
+        self.gram, self.features = self.gram[surplus:, surplus:], self.features[surplus:]
+        if self.select and not self.used.all():
+            moved = ~_negligible(deviations) | self.used
+            if (moved != self.used).any():
+                self._use(moved)
         new = self._flat(deviations)
         cross = new @ self.features.T
         n = len(self.gram)
@@ -122,28 +117,16 @@ class FeatureBuffer(Stateful):
         """Features (m, f) of deviations (m, T, C): those of the tokens in use."""
         if not self.used.all():
             deviations = np.ascontiguousarray(deviations[:, self.used])
-        return _rows(deviations)
-
-    def _forget(self, n: int) -> None:
-        """Drop the n oldest images."""
-        self.gram, self.features = self.gram[n:, n:], self.features[n:]
-
-    def _take_up(self, deviations: Float64) -> None:
-        """Use the tokens that vary in new images, deviations (m, T, C), too."""
-        if self.used.all():
-            return
-        moved = ~_negligible(_energy(deviations))
-        if (moved & ~self.used).any():
-            self._use(moved | self.used)
+        return deviations.reshape(len(deviations), int(np.prod(deviations.shape[1:])))
 
     def _leave_out(self) -> None:
         """Use those tokens no more that vary in none of the images, if they are not just a few."""
-        features = self._by_token(self.features)
+        features = self.features.reshape(len(self.features), -1, self.origin.shape[1])
         means = features.mean(axis=0)
-        still = _negligible(_energy(features - means))
+        still = _negligible(features - means)
         if _FEW * still.sum() <= still.size:
             return
-        left_out = _rows(features[:, still])
+        left_out = features[:, still].reshape(len(features), int(still.sum()) * features.shape[2])
         self.gram = self.gram - left_out @ left_out.T
         used = self.used.copy()
         used[self.used] = ~still
@@ -153,13 +136,11 @@ class FeatureBuffer(Stateful):
 
     def _use(self, used: Mask) -> None:
         """Change the tokens in use to these (T,); those that come were at their origin."""
-        features = np.zeros((len(self.features), int(used.sum()), self.origin.shape[1]))
-        features[:, self.used[used]] = self._by_token(self.features)[:, used[self.used]]
-        self.features, self.used = _rows(features), used
-
-    def _by_token(self, features: Float64) -> Float64:
-        """(n, f) -> (n, tokens in use, C)."""
-        return features.reshape(len(features), self.tokens, self.origin.shape[1])
+        n, channels = len(self.features), self.origin.shape[1]
+        before = self.features.reshape(n, int(self.used.sum()), channels)
+        features = np.zeros((n, int(used.sum()), channels))
+        features[:, self.used[used]] = before[:, used[self.used]]
+        self.features, self.used = features.reshape(n, features.shape[1] * channels), used
 
     def load_state_dict(
         self, state: Mapping[str, Any], sides: Sides | None = None, device: Any = None
@@ -178,19 +159,12 @@ class FeatureBuffer(Stateful):
         self._toward = None
 
 
-def _rows(features: Float64) -> Float64:
-    """(n, tokens, C) -> (n, f); also where there are none."""
-    return features.reshape(len(features), features.shape[1] * features.shape[2])
+def _negligible(deviations: Float64) -> Mask:
+    """Which tokens (T,) of deviations (n, T, C) hold a share `NEGLIGIBLE` of the energy together.
 
-
-def _energy(deviations: Float64) -> Float64:
-    """Sum of squares of each token, (T,), of deviations (n, T, C)."""
-    energy: Float64 = np.einsum("ntc,ntc->t", deviations, deviations)
-    return energy
-
-
-def _negligible(energy: Float64) -> Mask:
-    """Which tokens, those of least energy (T,), hold a share `NEGLIGIBLE` of it together."""
+    Those of least energy.
+    """
+    energy = np.einsum("ntc,ntc->t", deviations, deviations)
     order = np.argsort(energy, kind="stable")
     small: Mask = np.empty(len(energy), bool)
     small[order] = np.cumsum(energy[order]) <= NEGLIGIBLE * energy.sum()
@@ -205,7 +179,7 @@ _SAFE = 1e-4  # smallest penalty for the inverse; then G + p is conditioned well
 
 
 class Ridge(NamedTuple):
-    """Coefficients (n, d); residuals (n, d) and leverages (n,), by `ridges` (n, d)."""
+    """Coefficients (n, d); residuals (n, d) and leverages (n,)."""
 
     coefficients: Float64
     residuals: Float64
@@ -236,31 +210,6 @@ def ridge(gram: Float64, u: Float64, penalty: float, rounding: float) -> Ridge:
     shrinkage = eigenvalues / (eigenvalues + p)
     residuals = u - vectors @ (shrinkage[:, None] * rotated)
     return Ridge((vectors / (eigenvalues + p)) @ rotated, residuals, vectors**2 @ shrinkage)
-
-
-def ridges(grams: Float64, u: Float64, penalty: float, rounding: float) -> Ridge:
-    """Regress each column of u (n, d) on features of its own, with products `grams` (d, n, n).
-
-    As `ridge` for each; the leverages are (n, d).
-    """
-    n = len(u)
-    if penalty >= _SAFE:
-        p = penalty * np.trace(grams, axis1=1, axis2=2) / min(n, 64) + rounding  # (d,)
-        damped = torch.from_numpy(grams + p[:, None, None] * np.eye(n))
-        factors, failed = torch.linalg.cholesky_ex(damped)
-        if not failed.any():
-            inverses: Float64 = torch.cholesky_inverse(factors).numpy()
-            coefficients = np.einsum("dnm,md->nd", inverses, u)
-            return Ridge(coefficients, p * coefficients, 1 - p * np.einsum("dnn->nd", inverses))
-    each = [
-        ridge(one, column[:, None], penalty, rounding)
-        for one, column in zip(grams, u.T, strict=True)
-    ]
-    return Ridge(
-        np.hstack([fit.coefficients for fit in each]),
-        np.hstack([fit.residuals for fit in each]),
-        np.stack([fit.leverages for fit in each], axis=1),
-    )
 
 
 def explained(u: Float64, fit: Ridge, w: Float64) -> Float64:

@@ -67,47 +67,28 @@ def fit_jacobian(
     d = u.shape[1]
     G = gram - gram[best] - gram[best][:, None] + gram[best, best]  # (n, n)
     squared = np.einsum("nd,nd->n", u, u)  # (n,)
-    Q = _wide(u, squared, ridge[0])
-    near = _nearest(squared, 2 * d)
+    weights = 1 / (squared + max(float(np.median(squared)), _TINY))
+    Q = _solve(u * weights[:, None], u, ridge[0])
+    order = np.argsort(squared, kind="stable")
+    near: Indices = order[squared[order] > 0][: 2 * d]
     curvature = 0.0
     if len(near):
-        change, leverages = _near(u, squared, near, Q, ridge[1])
+        distances = np.sqrt(squared[near])
+        a = u[near] / distances[:, None]  # (n', d)
+        P = _solve(a, a, ridge[1])  # (d, n')
+        leverages = np.einsum("nd,dn->n", a, P)
+        P /= distances  # of residuals that are not yet divided
+        change = -(P @ u[near]) @ Q
+        change[:, near] += P
         Q = Q + change
-        curvature = _curvature(u, squared, near, Q, G, leverages)
+        wrong = -u[near] @ Q  # (n', n): of e
+        wrong[np.arange(len(near)), near] += 1.0
+        energy = np.maximum(np.einsum("in,in->i", wrong @ G, wrong), 0.0)
+        energy /= np.square(np.maximum(1 - leverages, _SMALLEST_GAP))  # each left out (PRESS)
+        curvature = float(energy.sum() / max(float(np.square(squared[near]).sum()), _TINY))
     values, vectors = np.linalg.eigh(Q @ G @ Q.T)
     error = rounding * float(np.square(Q).sum()) / d
     return Jacobian(best, Q, np.maximum(values, 0.0), vectors, error, curvature)
-
-
-def _wide(u: Float64, squared: Float64, penalty: float) -> Float64:
-    """Q (d, n) of J_0: all candidates, weighing less the farther away they are."""
-    weights = 1 / (squared + max(float(np.median(squared)), _TINY))
-    return _solve(u * weights[:, None], u, penalty)
-
-
-def _near(
-    u: Float64, squared: Float64, near: Indices, Q: Float64, penalty: float
-) -> tuple[Float64, Float64]:
-    """Change of Q (d, n) by the residuals of the nearest, in units of their distance; leverages."""
-    distances = np.sqrt(squared[near])
-    a = u[near] / distances[:, None]  # (n', d)
-    P = _solve(a, a, penalty)  # (d, n')
-    leverages = np.einsum("nd,dn->n", a, P)
-    P /= distances  # of residuals that are not yet divided
-    change = -(P @ u[near]) @ Q
-    change[:, near] += P
-    return change, leverages
-
-
-def _curvature(
-    u: Float64, squared: Float64, near: Indices, Q: Float64, G: Float64, leverages: Float64
-) -> float:
-    """Mean curvature c, of |e - u J|^2 ~ c |u|^4, by the nearest, each left out (PRESS)."""
-    wrong = -u[near] @ Q  # (n', n): of e
-    wrong[np.arange(len(near)), near] += 1.0
-    energy = np.maximum(np.einsum("in,in->i", wrong @ G, wrong), 0.0)
-    energy /= np.square(np.maximum(1 - leverages, _SMALLEST_GAP))
-    return float(energy.sum() / max(float(np.square(squared[near]).sum()), _TINY))
 
 
 def _solve(weighted: Float64, u: Float64, penalty: float) -> Float64:
@@ -115,20 +96,6 @@ def _solve(weighted: Float64, u: Float64, penalty: float) -> Float64:
     normal = u.T @ weighted
     p = penalty * float(np.trace(normal)) / len(normal) + _TINY
     return np.asarray(np.linalg.solve(normal + p * np.eye(len(normal)), weighted.T), np.float64)
-
-
-def _nearest(squared: Float64, n: int) -> Indices:
-    """The n candidates of smallest squared distance (k,) that is not 0."""
-    order = np.argsort(squared, kind="stable")
-    moved: Indices = order[squared[order] > 0][:n]
-    return moved
-
-
-def _positive(std: Float64) -> Float64:
-    """Standard deviations (d,) that can be divided by."""
-    floor = max(_SMALLEST_STD * float(std.max()), 1e-15)
-    scales: Float64 = np.maximum(std, floor)
-    return scales
 
 
 _FORWARD_SCHEMA: Schema = {
@@ -217,11 +184,9 @@ class ForwardProposer:
         z: (m, d), samples of the search distribution, whose mean and sqrt(diag Sigma) are mean and
         std, (d,) each.  Returns (m, d); values may leave the unit cube.
         """
-        scale = _positive(std)
-        jacobian = self._jacobian(scale)
+        scale, jacobian, slope = self._model(target, std)
         low, high = np.log(self.damping)
         damping = np.exp(rng.uniform(low, high, size=(len(z), 1)))
-        slope = self._slope(jacobian, target)  # (d,), in the basis of eigenvectors, as all below
         steps, penalty = self._damped(jacobian, slope, damping)  # (m, d), (m, 1)
         explained = float((slope**2 / (jacobian.values + jacobian.rounding + _TINY)).sum())
         gain = np.clip(_decrease(jacobian, slope, steps)[:, None] / (explained + _TINY), 0.0, 1.0)
@@ -242,8 +207,7 @@ class ForwardProposer:
 
         target: tokens (T, C).  std: (d,), of the search distribution.
         """
-        jacobian = self._jacobian(_positive(std))
-        slope = self._slope(jacobian, target)
+        _, jacobian, slope = self._model(target, std)
         steps, _ = self._damped(jacobian, slope, np.ones((1, 1)))
         residual = self._buffer.missing(target, jacobian.best)
         removed = _decrease(jacobian, slope, steps)[0]
@@ -259,22 +223,23 @@ class ForwardProposer:
         factors = np.minimum(1.0, self.longest * np.sqrt(self.dim) / (lengths + _TINY))
         return steps * factors, penalty
 
-    def _slope(self, jacobian: Jacobian, target: Tensor) -> Float64:
-        """J e*, (d,), in the basis of the eigenvectors of J J^T."""
-        b = jacobian.best
-        residual = self._buffer.missing(target, b)  # (f,)
-        products = self._buffer.features @ residual  # (n,): of e + e_b with e*
-        slope: Float64 = jacobian.vectors.T @ (jacobian.Q @ (products - products[b]))
-        return slope
+    def _model(self, target: Tensor, std: Float64) -> tuple[Float64, Jacobian, Float64]:
+        """Units of u (d,), J at the best candidate, and J e* (d,).
 
-    def _jacobian(self, std: Float64) -> Jacobian:
-        """At the best candidate; fitted once for whatever was told."""
-        if self._fit is None or not np.array_equal(self._fit[0], std):
+        J is fitted once for whatever was told; J e* is in the basis of the eigenvectors of J J^T.
+        """
+        floor = max(_SMALLEST_STD * float(std.max()), 1e-15)
+        scale: Float64 = np.maximum(std, floor)  # which can be divided by
+        if self._fit is None or not np.array_equal(self._fit[0], scale):
             best = int(np.argmin(self._losses))
-            u = (self._x - self._x[best]) / std
+            u = (self._x - self._x[best]) / scale
             fit = fit_jacobian(u, self._buffer.gram, best, self.ridge, self._buffer.rounding)
-            self._fit = std.copy(), fit
-        return self._fit[1]
+            self._fit = scale, fit
+        jacobian = self._fit[1]
+        b = jacobian.best
+        products = self._buffer.features @ self._buffer.missing(target, b)  # (n,): e + e_b with e*
+        slope: Float64 = jacobian.vectors.T @ (jacobian.Q @ (products - products[b]))
+        return scale, jacobian, slope
 
     def state_dict(self) -> dict[str, Any]:
         """The buffer."""

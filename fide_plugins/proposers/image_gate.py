@@ -34,6 +34,8 @@ class ImageGate(Stateful):
     channel_subsets: leading channels of the tokens in which distances are measured, the mean
         correlation counts; None: all channels.
     known: whether a learned model knows the picture, so that it is one of this scene.
+    guarded: whether images are judged; where they are not, they are followed wholly.
+    fraction: of a generation that is proposed, where images are followed wholly.
     """
 
     SCHEMA: ClassVar[dict[str, Schema]] = {
@@ -49,11 +51,9 @@ class ImageGate(Stateful):
         self, options: Options, channel_subsets: tuple[int | None, ...], *, known: bool = False
     ) -> None:
         self.guarded = options.guard_images
-        """Whether images are judged; where they are not, they are followed wholly."""
-        self._options = options.proposal
+        self._rate = options.proposal.fraction_rate
         self._channel_subsets = channel_subsets
         self.fraction = options.proposal.proposal_fraction
-        """Of a generation that is proposed, where images are followed wholly."""
         self._sum = 0.0
         self._variance = 0.0  # of the sum, if images said nothing
         self._recent, self._weight = 0.0, 0.0  # sums of c n rho and c n, over a short memory
@@ -95,7 +95,8 @@ class ImageGate(Stateful):
 
     def number(self, popsize: int, rng: np.random.Generator) -> int:
         """How many of a generation to propose, at random around the expected number."""
-        return min(int(self.proposed * popsize + rng.random()), popsize - 1) if self.proposed else 0
+        share = self.proposed
+        return min(int(share * popsize + rng.random()), popsize - 1) if share else 0
 
     def note_known(self) -> None:
         """Note that a learned model knows the picture."""
@@ -123,9 +124,8 @@ class ImageGate(Stateful):
 
     def note_ranks(self, losses: Float64, proposed: Mask) -> None:
         """Note how proposed candidates (k,) of a generation rank, by all its losses (k,)."""
-        o = self._options
-        if o.fraction_rate:
-            self.fraction = adapt_fraction(self.fraction, losses, proposed, o.fraction_rate)
+        if self._rate:
+            self.fraction = adapt_fraction(self.fraction, losses, proposed, self._rate)
 
 
 def _correlation(u: Float64, v: Float64) -> float:

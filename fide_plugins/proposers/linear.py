@@ -140,27 +140,25 @@ class LinearProposer(Proposer):
         z: (m, d), samples of the search distribution, whose mean and sqrt(diag Sigma) are mean and
         std, (d,) each.  Returns (m, d); values may leave the unit cube.
         """
-        ranks = np.argsort(np.argsort(self._losses, kind="stable"), kind="stable")
-        best = np.argsort(ranks)[: self.sources]
+        order = np.argsort(self._losses, kind="stable")
+        ranks, best = np.argsort(order, kind="stable"), order[: self.sources]
         sources = best[rng.integers(len(best), size=len(z))]
         used = rng.integers(len(self._buffers), size=len(z))
-        correction, trust = np.empty_like(z), np.empty_like(z)
+        correction, trust = np.empty_like(z), np.ones_like(z)
         for v, buffer in enumerate(self._buffers):
-            if (mine := used == v).any():
-                fit = self._fitted(v, ranks, std)
-                correction[mine] = std * _correct(buffer, fit, sources[mine], target)
-                trust[mine] = self._trust(fit)
+            if not (mine := used == v).any():
+                continue
+            if v not in self._fits or not np.array_equal(self._fits[v][0], std):
+                self._fits[v] = std.copy(), self._regress(buffer, ranks, std)
+            fit, full = self._fits[v][1], self.r2_threshold
+            correction[mine] = std * _correct(buffer, fit, sources[mine], target)
+            if full:
+                trust[mine] = np.clip(fit.explained, 0.0, full) / full
         a = rng.uniform(*self.step, size=(len(z), 1))
         r = rng.uniform(0.0, self.noise, size=(len(z), 1))
         proposals = self._x[sources] + a * correction + r * (z - mean)
         trusted: Float64 = z + trust * (proposals - z)
         return trusted
-
-    def _fitted(self, v: int, ranks: Indices, std: Float64) -> _Regression:
-        """Regression of the buffer of that number, fitted once for whatever was told."""
-        if v not in self._fits or not np.array_equal(self._fits[v][0], std):
-            self._fits[v] = std.copy(), self._regress(self._buffers[v], ranks, std)
-        return self._fits[v][1]
 
     def _regress(self, buffer: FeatureBuffer, ranks: Indices, std: Float64) -> _Regression:
         """Parameters on the features of a buffer; stable when the buffer has collapsed."""
@@ -176,24 +174,19 @@ class LinearProposer(Proposer):
         gram = gram * root * root[:, None]
         fit = ridge(gram, u, self.ridge, rounding)
         all_tokens = fit.coefficients, explained(u, fit, w)
-        if not self.screening or not buffer.tokens:
+        tokens = int(buffer.used.sum())
+        if not self.screening or not tokens:
             return _Regression(w, *all_tokens)
         from fide_plugins.proposers.screening import affordable, local_regressions
 
-        if not affordable(n, self.dim, buffer.features.shape[1] // buffer.tokens):
+        if not affordable(n, self.dim, buffer.features.shape[1] // tokens):
             return _Regression(w, *all_tokens)
         e = (buffer.features - w @ buffer.features) * root[:, None]
         local = local_regressions(
-            e, buffer.tokens, u, w,
+            e, tokens, u, w,
             gram=gram, penalty=self.ridge, rounding=rounding, all_tokens=all_tokens,
         )  # fmt: skip
         return _Regression(w, local.coefficients, local.explained, local.slopes)
-
-    def _trust(self, fit: _Regression) -> Float64:
-        """How much of each parameter is proposed, (d,) in [0, 1]."""
-        if self.r2_threshold == 0:
-            return np.ones(self.dim)
-        return np.clip(fit.explained, 0.0, self.r2_threshold) / self.r2_threshold
 
     def state_dict(self) -> dict[str, Any]:
         """The buffer."""

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csc_array
 
-from fide_plugins.proposers.feature_buffer import explained, ridges
+from fide_plugins.proposers.feature_buffer import Ridge, explained, ridge
 from fide_plugins.types import Float64
 
 _FLOOR = 0.003  # weight of a token that shows nothing
@@ -70,7 +70,11 @@ def local_regressions(
         for f, one in zip(features, v, strict=True)
     ]
     grams = largest**2 * np.array([part @ part.T for part in parts], np.float64)
-    fit = ridges(grams + _FLOOR * gram, u, penalty, rounding)
+    columns = [
+        ridge(one + _FLOOR * gram, column[:, None], penalty, rounding)
+        for one, column in zip(grams, u.T, strict=True)
+    ]
+    fit = Ridge(*(np.column_stack(part) for part in zip(*columns, strict=True)))
     found = explained(u, fit, w)
     better = found > all_tokens[1]
     slopes = [

@@ -18,7 +18,17 @@ import numpy as np
 import numpy.typing as npt
 from numpy.typing import NDArray
 
-from fide_plugins.runtime.schema import Schema, array as numbers, check, maybe, real, table, whole
+from fide_plugins.runtime.schema import (
+    Schema,
+    array as numbers,
+    check,
+    each,
+    maybe,
+    real,
+    row,
+    table,
+    whole,
+)
 from fide_plugins.space import Space
 from fide_plugins.status import Status
 from fide_plugins.types import Float32, Float64, Optimizer, Solution
@@ -193,6 +203,7 @@ class Record:
     generations: number of candidates of each generation.
     pending: (m, dim), candidates that were asked and not yet told.
     failures: renders that gave no image, where a run survives them.
+    fineness: state of a `fitting.schedule`; None where all renders are of one kind.
     """
 
     losses: array[float] = field(default_factory=lambda: array("d"))
@@ -211,11 +222,17 @@ class Record:
     first_image: Float32 | None = None
     pending: Float64 | None = None
     failures: int = 0
+    fineness: dict[str, Any] | None = None
 
     @property
     def evaluations(self) -> int:
         """Renders so far."""
         return len(self.losses)
+
+    @property
+    def cost(self) -> float:
+        """Of all renders so far, in renders of full size and samples."""
+        return float(self.evaluations if self.fineness is None else self.fineness["cost"])
 
     @property
     def best(self) -> Solution | None:
@@ -280,6 +297,8 @@ class Record:
     def state(self) -> dict[str, Any]:
         """State for a checkpoint."""
         fields: dict[str, Any] = dict(vars(self))
+        if self.fineness is None:
+            del fields["fineness"]
         arrays = {key: np.array(fields[key], kind) for key, kind in _ARRAYS.items()}
         metrics = {name: np.array(values) for name, values in self.metrics.items()}
         path = np.array(self.path).reshape(len(self.path), -1 if self.path else 0)
@@ -379,7 +398,17 @@ def _evaluated(asked: NDArray[np.int64], evaluations: int) -> NDArray[np.int64]:
 
 
 _IMAGE = maybe(numbers("H", "W", 3, low=0.0, high=1.0))
-_RECORD: Schema = {
+_FINENESS: Schema = {
+    **dict.fromkeys(("k", "samples", "_count", "_since", "_told", "_best_at"), whole()),
+    **{name: numbers(name, low=None) for name in ("_halves", "_spreads", "_losses")},
+    "cost": real(),
+    "_best": real(high=math.inf),
+    "_typical": maybe(real()),
+    "_spread": maybe(numbers("d", low=0.0)),
+    "works": each(whole()),
+    "rising": maybe(row(numbers("d", low=0.0, high=1.0), numbers("d", low=0.0))),
+}
+_RECORD: dict[str, Schema] = {
     "losses": numbers("e", low=None),
     "seconds": numbers("e", low=0.0),
     "improvements": numbers("m", kind="i", low=0.0),
@@ -402,7 +431,8 @@ _RECORD: Schema = {
 def check_record(state: Any, dim: int, size: Sequence[int]) -> None:
     """Raise ValueError unless `state` is valid for a run of `dim` parameters and size (H, W)."""
     sides = {"d": dim, "H": size[0], "W": size[1]}
-    check(state, _RECORD, sides, "record")
+    schema = {**_RECORD, "fineness": _FINENESS} if "fineness" in state else _RECORD
+    check(state, schema, sides, "record")
     asked, evaluations = int(state["generations"].sum()), sides["e"]
     if asked != evaluations + sides.get("p", 0):
         raise ValueError(f"of {asked} candidates asked, {evaluations} were evaluated")

@@ -9,6 +9,8 @@ placeholder            is replaced by
 ``{azimuth:.3f}``      the same in a format of Python's `format`
 ``{beads[0].x}``       a parameter of a group, by its flat name (`Space.names`)
 ``{params}``           path of a JSON file with all parameters
+``{width} {height}``   pixels of the image, ``{samples}`` of each pixel, and ``{seed}`` of its
+                       noise: FIDE then asks for as little as the present step needs
 ``{{`` and ``}}``      braces
 =====================  =====================================================================
 
@@ -24,6 +26,7 @@ import string
 import time
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
+from inspect import Parameter
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +44,10 @@ from fide_plugins.validation.pixels import Pixels
 
 TIMEOUT = 60.0
 """Seconds that a render may take, where none are given."""
+SIZE, SAMPLES = (128, 128), 16
+"""Of ``{height} {width}`` and ``{samples}``, where nothing decides: outside of a fit."""
+FINE = ("width", "height", "samples", "seed")
+"""Placeholders that say how fine an image is to be, unless the space has such a parameter."""
 
 
 class CommandRenderer:
@@ -83,16 +90,35 @@ class CommandRenderer:
                 f"{{{unused[0]}}} where the program expects it, or take it out of the space"
             )
         for template in self.templates:
-            template.command(space.decode(np.full(space.dim, 0.5)), "out", "params")
+            values = dict.fromkeys(FINE, 1) | space.decode(np.full(space.dim, 0.5))
+            template.command(values, "out", "params")
 
-    def __call__(self, params: Mapping[str, Any]) -> Pixels | list[Pixels]:
+    def __call__(
+        self,
+        params: Mapping[str, Any],
+        *,
+        size: tuple[int, int] = SIZE,
+        samples: int = SAMPLES,
+        seed: int = 0,
+    ) -> Pixels | list[Pixels]:
         """Image (H, W, 3), float32, of the parameters, or one for each view.
 
         Its values lie in [0, 1]; those of a file of floats are as they are, as a function's are.
+        size: (H, W); with samples and seed for the placeholders of these names, if there are any.
         """
         until = None if self.timeout is None else time.monotonic() + self.timeout
-        pictures = [self._render(template, params, until) for template in self.templates]
+        fine = {"width": size[1], "height": size[0], "samples": samples, "seed": seed}
+        values = {**fine, **params}
+        pictures = [self._render(template, params, values, until) for template in self.templates]
         return pictures[0] if isinstance(self._given, str) else pictures
+
+    @property
+    def keywords(self) -> dict[str, Any]:
+        """Those of `renderers.keywords` that the command has placeholders for."""
+        used = {name for template in self.templates for name in template.fine}
+        asked = {"size": used & {"width", "height"}, "samples": "samples" in used}
+        asked["seed"] = "seed" in used
+        return {name: Parameter.empty for name, there in asked.items() if there}
 
     @property
     def name(self) -> str:
@@ -110,7 +136,13 @@ class CommandRenderer:
     def __repr__(self) -> str:
         return f"CommandRenderer({', '.join(repr(each.text) for each in self.templates)})"
 
-    def _render(self, template: Template, params: Mapping[str, Any], until: float | None) -> Pixels:
+    def _render(
+        self,
+        template: Template,
+        params: Mapping[str, Any],
+        values: Mapping[str, Any],
+        until: float | None,
+    ) -> Pixels:
         with folder_of_a_render() as folder:
             written, log, parameters = folder / "image", folder / "output.txt", folder / "params"
             written.mkdir()
@@ -118,12 +150,12 @@ class CommandRenderer:
                 parameters = folder / "params.json"
                 parameters.write_text(json.dumps(params), "utf-8")
             out = written / f"out{template.suffix}"
-            command = template.command(params, str(out), str(parameters))
+            command = template.command(values, str(out), str(parameters))
             try:
                 self._run(command, log, until)
                 return _read(out, self.raw)
             except (_Failed, ImageError) as failed:
-                shown = template.command(params, out.name, "params.json")
+                shown = template.command(values, out.name, "params.json")
                 tail = tail_of(log) if log.exists() else ""
                 output = f"its last output:\n{tail}" if tail else "it printed nothing"
                 reason = str(failed).replace(f"{written}/", "")
@@ -201,6 +233,8 @@ class Template:
                 "and quotes in pairs"
             ) from None
         self.used = {name for name, _, _ in fields}
+        self.fine = {name for name in FINE if name in self.used and name not in space.names}
+        """Placeholders for how fine the image is to be."""
         self.suffix = next((spec for name, spec, _ in fields if name == "out" and spec), ".png")
         """Ending of the image's name."""
         _check_words(self.words, text)
@@ -275,7 +309,7 @@ def _check_names(used: set[str], space: Space, text: str) -> None:
             f"no parameter of a command may be called {taken[0]!r}, which is the name of a file in "
             f"it; call it {taken[0]}_"
         )
-    known = [*_FILES, *space.names]
+    known = [*_FILES, *space.names, *(name for name in FINE if name not in space.names)]
     for name in sorted(used):
         if name not in known:
             close = get_close_matches(name, known, n=1)

@@ -10,6 +10,7 @@ from types import ModuleType
 from typing import Any
 
 from fide_plugins.errors import OptionError, RenderError
+from fide_plugins.renderers.keywords import keywords_of
 from fide_plugins.renderers.naming import described
 from fide_plugins.runtime.registry import Referent, module_fingerprint, shown_traceback, version_of
 from fide_plugins.space import Space
@@ -103,16 +104,21 @@ class FunctionRenderer:
         self._folder = _FOLDERS.setdefault(self._module, folder)
         self._function = _REFERENT.attribute(self._module, self.place, self._name)
 
-    def __call__(self, params: Any) -> Any:
-        """Image of the parameters."""
+    def __call__(self, params: Any, **keywords: Any) -> Any:
+        """Image of the parameters; keywords: how fine, of those that the function takes."""
         try:
             with self._folder.entered():
-                return _found_from_anywhere(self._function(params))
+                return _found_from_anywhere(self._function(params, **keywords))
         except (Exception, SystemExit) as error:  # scripts end by sys.exit
             raise RenderError(
                 f"{self._name} in {self.place} raised an exception\n"
                 f"with the parameters {described(params)}\n{shown_traceback(error, __file__)}"
             ) from None
+
+    @property
+    def keywords(self) -> dict[str, Any]:
+        """Of the function, see `renderers.keywords`."""
+        return keywords_of(self._function)
 
     @property
     def reference(self) -> str:

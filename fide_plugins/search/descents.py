@@ -13,8 +13,7 @@ from torch import Tensor
 
 from fide_plugins.population.candidate import TrainingSample
 from fide_plugins.runtime.schema import Schema, Sides, Stateful, array, whole
-from fide_plugins.search.mixed import shorter
-from fide_plugins.search.scene import Axes
+from fide_plugins.search.mixed import Axes, shorter
 from fide_plugins.types import Float32, Float64
 
 __all__ = ["Descents"]

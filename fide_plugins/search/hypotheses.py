@@ -14,9 +14,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from fide_plugins.runtime.schema import Schema, Sides, Stateful, array, flag, maybe, real
-from fide_plugins.search.exchangeability import Exchangeability
-from fide_plugins.search.moves import Known, Move, Stage, Start
-from fide_plugins.search.scene import Axes
+from fide_plugins.search.mixed import Axes
+from fide_plugins.search.moves import AFTER_DESCENT, Known, Move, Start
+from fide_plugins.search.scene import Exchangeability
 from fide_plugins.types import Float64, Indices, Posterior
 
 _TYPICAL = 0.01  # of the median loss above the best: a difference of it divides a likelihood by e
@@ -88,7 +88,6 @@ _SEARCHED = 4  # of those rendered
 _APART = 0.15  # of the unit cube, in some parameter: other hypotheses
 _BETTER = 0.1  # of the typical loss
 _H_NARROWEST, _WIDEST, _WIDEST_SET = 0.02, 1 / 6, 0.06  # standard deviations
-AFTER_DESCENT = 0.01  # standard deviation of a search, at most
 _NARROWEST_REFINED = 0.006  # descents through an emulator end near each other
 
 
@@ -98,6 +97,8 @@ class Hypotheses(Move, Stateful):
     posterior: draws x (n, d), which say how probable an answer is, and refined points.
     sets: whether they are sets of exchangeable blocks.
     place: points (n, d) as they are rendered: integers and choices in their cells.
+    narrow: whether those that wait are where descents ended.
+    typical: median loss of the draws that were rendered; None where it is not known.
     """
 
     name = "learned"
@@ -128,10 +129,8 @@ class Hypotheses(Move, Stateful):
         self.x, refined = posterior or Posterior(nothing)
         self._refined = nothing if refined is None else refined
         self.narrow = False
-        """Whether those that wait are where descents ended."""
         self._waiting = nothing  # starts that were not searched yet, best first
         self.typical: float | None = None
-        """Median loss of the draws that were rendered; None before, and where it is not known."""
 
     @property
     def available(self) -> bool:
@@ -142,11 +141,6 @@ class Hypotheses(Move, Stateful):
     def posterior(self) -> Posterior | None:
         """What it began with; None: there were none."""
         return Posterior(self.x, self._refined) if self.available else None
-
-    @property
-    def first(self) -> tuple[Stage, str | None]:
-        """Stage with which a run begins, and its move: these, if there are any."""
-        return (Stage.RESTART, self.name) if self.available else (Stage.SEARCH, None)
 
     @property
     def waiting(self) -> bool:

@@ -11,10 +11,10 @@ from typing import ClassVar
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from fide_plugins.runtime.schema import Schema, Stateful, array
+from fide_plugins.runtime.schema import Schema, Sides, Stateful, array
 from fide_plugins.search.cma_es import CMAES
 from fide_plugins.space.layout import Layout
-from fide_plugins.types import Float64, Mask
+from fide_plugins.types import Float64, Indices, Mask
 
 
 def into(z: Float64, periodic: Mask | None = None) -> Float64:
@@ -153,11 +153,6 @@ class Mixed(Stateful):
         widened = np.maximum(std, _WIDE * np.minimum(1.0, std / _USUAL))
         return np.where(self._discrete, widened, std)
 
-    @property
-    def stretch(self) -> Float64 | float:
-        """A (d,), or 1 where nothing is discrete."""
-        return 1.0 if self._discrete is None else self.A
-
     def stretched(self, z: Float64, mean: Float64) -> Float64:
         """V (n, d) of candidates z (n, d)."""
         return z if self._discrete is None else mean + self.A * (z - mean)
@@ -178,7 +173,7 @@ class Mixed(Stateful):
         return x if self._discrete is None or self.layout is None else self.layout.snap(x)
 
     def closest(self, x: Float64, mean: Float64) -> Float64:
-        """Return the z (n, d) of points x (n, d) that is closest to the mean (d,)."""
+        """The z (n, d) of points x (n, d) that is closest to the mean (d,)."""
         v = closest(x, mean, self._periodic)
         if self._discrete is None:
             return v
@@ -197,3 +192,115 @@ class Mixed(Stateful):
             mean[block] = correct_choice(mean[block], cov, alpha)
         self.A = np.where(self._discrete, stretched / std, 1.0)
         distribution.mean = mean
+
+
+# -- parameters of several axes, and of several values ---------------------------------------------
+
+
+class Axes:
+    """Which axes of the cube are one parameter, and which wrap around.
+
+    A choice of n > 2 values has n axes, of which the largest coordinate decides: moved alone, they
+    mostly change nothing, so moves move them together.
+
+    dim: d.  layout: what is discrete or periodic; None: nothing.
+    parameter_of: (d,), number of the parameter of each axis, from 0.
+    axes_of: axes of each parameter.
+    """
+
+    def __init__(self, dim: int, layout: Layout | None = None) -> None:
+        self.dim = dim
+        self.periodic = periodic_axes(layout)
+        first: Indices = np.arange(dim)  # axis of the parameter of each axis
+        for block in () if layout is None else layout.choices:
+            first[block] = block.start
+        self.parameter_of: Indices = np.unique(first, return_inverse=True)[1]
+        numbers = range(self.parameter_of[-1] + 1)
+        self.axes_of = [np.flatnonzero(self.parameter_of == i) for i in numbers]
+
+    def together(self, chosen: Indices) -> Indices:
+        """All axes of the parameters that these axes are of."""
+        if len(self.axes_of) == self.dim:
+            return chosen
+        return np.flatnonzero(np.isin(self.parameter_of, self.parameter_of[chosen]))
+
+    def difference(self, x: Float64, y: Float64, which: Indices | None = None) -> Float64:
+        """Differences of coordinates x and y (..., d), the shorter way around; at least 0.
+
+        which: axes (..., m) of coordinates x and y (..., m); None: all.
+        """
+        periodic = self.periodic
+        return distance(x, y, periodic if periodic is None or which is None else periodic[which])
+
+    def inside(self, x: Float64) -> Float64:
+        """Points (..., d) of the cube: periodic axes are wrapped, all others are clipped."""
+        return inside(x, self.periodic)
+
+
+# -- integers and choices --------------------------------------------------------------------------
+
+_REMEMBERED = 200  # combinations
+_CELLS_AWAY = (*range(2, 9), *(2**i for i in range(4, 10)))
+_BEYOND = 1e-9  # beyond an edge, and in the next cell
+
+
+class Values(Stateful):
+    """Which other values integers and choices can have, and which combinations were searched.
+
+    axes: those of one parameter.  layout: what is discrete in the cube.  None: nothing is.
+    discrete: (d,), axes on which many points stand for one value.
+    """
+
+    SCHEMA: ClassVar[dict[str, Schema]] = {"searched": array("m", "discrete", low=0.0, high=1.0)}
+
+    def __init__(self, axes: Axes | None = None, layout: Layout | None = None) -> None:
+        self._axes, self._layout = axes, layout
+        self.discrete = np.zeros(1, bool) if layout is None else layout.discrete
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin again, for another target."""
+        self._searched = np.empty((0, int(self.discrete.sum())))  # the oldest first
+
+    def others(self, x: Float64) -> Float64:
+        """Copies (n, d) of a rendered point x (d,), each with another value of one parameter.
+
+        All values of a choice; of an integer those up to 8 cells away, and 16, 32, ... 512.
+        """
+        if self._layout is None or self._axes is None:
+            return np.empty((0, len(x)))
+        parameters = [axes for axes in self._axes.axes_of if self.discrete[axes[0]]]
+        rows = [row for axes in parameters for row in self._changed(x, axes)]
+        every = self._layout.snap(np.array(rows).reshape(-1, len(x)))
+        every = every[(every != x).any(axis=1)]
+        distinct: Float64 = every[np.sort(np.unique(every, axis=0, return_index=True)[1])]
+        return distinct
+
+    def _changed(self, x: Float64, axes: Indices) -> Float64:
+        """Copies (m, d) of x with coordinates of one parameter changed, x itself among them."""
+        if len(axes) > 1:
+            rows = np.tile(x, (len(axes), 1))
+            rows[:, axes] = np.eye(len(axes))
+            return rows
+        assert self._layout is not None
+        (i,) = axes
+        edges = [float(edge[i]) for edge in self._layout.cells(x) if np.isfinite(edge[i])]
+        values = [edge + np.copysign(_BEYOND, edge - x[i]) for edge in edges]
+        width = 2 * min((abs(edge - x[i]) for edge in edges), default=1.0)
+        values += [v for n in _CELLS_AWAY for v in (x[i] - n * width, x[i] + n * width)]
+        values = [v for v in values if 0 <= v <= 1]
+        rows = np.tile(x, (len(values), 1))
+        rows[:, i] = values
+        return rows
+
+    def searches(self, X: Float64) -> Indices:
+        """How often a search began at the values of each point (n, d), (n,)."""
+        same = X[:, None, self.discrete] == self._searched
+        return np.asarray(same.all(axis=2).sum(axis=1), np.intp)
+
+    def note(self, x: Float64) -> None:
+        """Note that a search begins at the values of x (d,)."""
+        self._searched = np.vstack([self._searched, x[self.discrete]])[-_REMEMBERED:]
+
+    def _sides(self) -> Sides:
+        return {"discrete": int(self.discrete.sum())}

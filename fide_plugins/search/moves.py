@@ -17,10 +17,11 @@ from torch import Tensor
 
 from fide_plugins.population.candidate import TrainingSample
 from fide_plugins.runtime.schema import array, flag, maybe, real, saved, whole
-from fide_plugins.search.exchangeability import Exchangeability
-from fide_plugins.search.scene import APART, Axes, Optima, Removal, Sensitivity, Values
+from fide_plugins.search.mixed import Axes, Values
+from fide_plugins.search.scene import APART, Exchangeability, Optima, Removal, Sensitivity
 from fide_plugins.types import Float64, Indices, Mask
 
+AFTER_DESCENT = 0.01  # standard deviation of a search that follows descents, at most
 WIDE, NARROW = 1 / 2, 1 / 8  # of sigma0: in the parameters that were moved, in all others
 
 
@@ -155,11 +156,11 @@ class Move(ABC):
         """Draw restart candidates, (n, d) in [0, 1]; fewer where the move has no more."""
 
     def begin_at(self, known: Known, x: Float64) -> Start:
-        """Return where the search begins, given the best restart candidate x (d,)."""
-        return known.start_at(x, self.wide)
+        """Return where the search begins, given the best restart candidate x (d,).
 
-    def note_begun(self, known: Known, x: Float64) -> None:  # noqa: B027 - most moves need no note
-        """Note in `known` that a search begins at x (d,); for moves that do not go there twice."""
+        A move that does not go there twice notes it in `known`.
+        """
+        return known.start_at(x, self.wide)
 
 
 class RelocateGroup(Move):
@@ -328,15 +329,12 @@ class ChangeValue(Move):
 
     def begin_at(self, known: Known, x: Float64) -> Start:
         """Hold the value that was changed; be narrow in all others, and wider in numbers."""
+        known.values.note(x)
         width = np.where(known.values.discrete, NARROW, _VALUE_WIDTH)
         fixed = np.zeros(known.dim, bool)
         fixed[known.axes.together(np.flatnonzero(x != known.current.x))] = True
         fixed &= known.values.discrete  # x may be another point of the user's, with other numbers
         return Start(x, width * known.sigma0, fixed=fixed)
-
-    def note_begun(self, known: Known, x: Float64) -> None:
-        """Count a search with the values of x (d,)."""
-        known.values.note(x)
 
 
 _REACH = 3.0  # standard deviations
@@ -430,12 +428,9 @@ class Refine(Move):
         return known.axes.inside(x + _NARROW * known.sigma0 * rng.standard_normal(x.shape))
 
     def begin_at(self, known: Known, x: Float64) -> Start:
-        """Begin at the incumbent."""
-        width = _NARROW * known.sigma0
-        return Start(known.current.x, width, patience=_PATIENCE, to_the_end=True)
-
-    def note_begun(self, known: Known, x: Float64) -> None:
-        """Do not refine this optimum again."""
+        """Begin at the incumbent, which is not refined again."""
         optimum = known.optima.of(known.current)
         if optimum is not None:
             optimum.refined = True
+        width = _NARROW * known.sigma0
+        return Start(known.current.x, width, patience=_PATIENCE, to_the_end=True)

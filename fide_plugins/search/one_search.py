@@ -34,11 +34,6 @@ _BENEFIT_OF_DOUBT = 6  # generations
 _STRICT_PATIENCE, _STRICT_IMPROVEMENT = 7 / 5, 0.3  # in units of the patience; share of the loss
 
 
-def default_patience(dim: int, popsize: int) -> int:
-    """Generations without progress that end a search: 5, more where each teaches little."""
-    return max(5, dim // popsize)
-
-
 def has_stalled(history: list[float], patience: int, improvement: float) -> bool:
     """Whether the last `patience` generations lowered the best loss by less than `improvement`.
 
@@ -93,12 +88,8 @@ class Termination:
         """Note the losses (k,) of one generation."""
         before = self.history[-1] if self.history else np.inf
         self.history.append(min(before, float(np.min(losses))))
-        longest = max(self._strict_patience, self.loss_only_patience, _BENEFIT_OF_DOUBT)
-        del self.history[: -1 - longest]
-
-    @property
-    def _strict_patience(self) -> int:
-        return round(_STRICT_PATIENCE * self.patience)
+        strict = round(_STRICT_PATIENCE * self.patience)
+        del self.history[: -1 - max(strict, self.loss_only_patience, _BENEFIT_OF_DOUBT)]
 
     def is_over(self, std: Float64, *, guided: bool = True) -> bool:
         """Whether to begin another search; guided: whether images guide it.
@@ -112,7 +103,7 @@ class Termination:
         strict = bool(self.history and self.history[-1] > self.strict_above)
         progress = self.patience, self.improvement
         if strict:
-            progress = self._strict_patience, _STRICT_IMPROVEMENT
+            progress = round(_STRICT_PATIENCE * self.patience), _STRICT_IMPROVEMENT
         return (
             bool((std < narrowest * self.sigma0).all())
             or has_stalled(self.history, *progress)
@@ -168,7 +159,7 @@ class Search(Stateful):
         widest = start.widest if self._guard else np.inf
         self.distribution = CMAES(start.mean, std, self.popsize, widest=widest)
         dim, options = len(start.mean), setting.options
-        patience = options.patience or default_patience(dim, self.popsize)
+        patience = options.patience or max(5, dim // self.popsize)  # each may teach little
         self.termination = Termination(
             sigma0=setting.sigma0,
             patience=start.patience * patience,
@@ -196,22 +187,24 @@ class Search(Stateful):
     @property
     def std(self) -> Float64:
         """Standard deviations (d,) of what is rendered."""
-        return self._mixed.stretch * self.distribution.std
+        std = self.distribution.std
+        return self._mixed.A * std if len(self._mixed.A) else std
 
     def sample(self, n: int, rng: np.random.Generator) -> tuple[Float64, Float64]:
         """Draw n candidates z ~ N(m, Sigma), and the points x that they stand for, (n, d) each."""
+
+        def draw(m: int) -> tuple[Float64, Float64]:
+            z = self.distribution.sample(m, rng)
+            return self._with_fixed(self._mixed.into(z, self.mean)), z
+
         validity = self.setting.validity
         if validity is None:
-            return self._sample(n, rng)
-        x, z, invalid = validity.sample(lambda m: self._sample(m, rng), n)
+            return draw(n)
+        x, z, invalid = validity.sample(draw, n)
         if invalid.any():
             x = validity.at_nearest(x, invalid, self._start.mean)
             z[invalid] = self.distribution.shortened(self.closest(x[invalid]))
         return x, z
-
-    def _sample(self, n: int, rng: np.random.Generator) -> tuple[Float64, Float64]:
-        z = self.distribution.sample(n, rng)
-        return self._with_fixed(self._mixed.into(z, self.mean)), z
 
     def render_mean(self, mean: Float64) -> Float64:
         """Point (d,) of the cube that a mean (d,) stands for."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from torch import Tensor, device
@@ -26,16 +26,15 @@ from fide_plugins.runtime.schema import (
     flag,
     form,
     maybe,
+    packed,
     real,
     text,
     values,
     whole,
 )
-from fide_plugins.search.descents import Descents
-from fide_plugins.search.exchangeability import Exchangeability
-from fide_plugins.search.hypotheses import AFTER_DESCENT, Hypotheses, Resample, probabilities
-from fide_plugins.search.mixed import Mixed
+from fide_plugins.search.mixed import Axes, Mixed, Values
 from fide_plugins.search.moves import (
+    AFTER_DESCENT,
     ChangeValue,
     Coarsen,
     HalfTurn,
@@ -49,9 +48,13 @@ from fide_plugins.search.moves import (
     Stage,
     Start,
 )
-from fide_plugins.search.scene import Axes, Optima, Removal, Sensitivity, Values, changed
+from fide_plugins.search.scene import Exchangeability, Optima, Removal, Sensitivity, changed
 from fide_plugins.space.layout import Layout
 from fide_plugins.types import Float64, Posterior
+
+if TYPE_CHECKING:
+    from fide_plugins.search.descents import Descents
+    from fide_plugins.search.hypotheses import Hypotheses
 
 _KEEP = 0.85  # of what is known, at each outcome of the same move
 _PRIOR_TRIES = 2.0  # that the prior gain is worth
@@ -117,9 +120,11 @@ _SCHEMA: dict[str, Schema] = {
     "rng": GENERATOR,
     "incumbent": maybe(form(TrainingSample)),
 }
+_PARTS = ("optima", "exchangeability", "removal", "sensitivity", "values")  # of what is known
 _COST = 12.0  # generations that a move takes, roughly
 _CANDIDATES = 20  # restart candidates, at least
 _TOLERANCE = 3  # failures of an optimum after which the next one is tried, without blocks
+_RESAMPLE = {"resample": 0.5}  # prior gain of the move that comes with a learned model
 
 
 class MovePolicy:
@@ -130,10 +135,17 @@ class MovePolicy:
     target: (T, C), tokens of the target.
     channels: leading channels in which images are compared; None: all.
     seed: of the draws of moves.
-    groups: declared exchangeable groups, see `exchangeability.check_groups`; None: to be found.
+    groups: declared exchangeable groups, see `scene.check_groups`; None: to be found.
     layout: what is discrete or periodic in the cube; None: nothing.
     posterior: of a learned model; the run begins with its hypotheses.  None: there is no model.
-    descends: whether the run begins with descents, from these or else from x0.
+    descends: whether the run begins with descents, from these or else from around x0.
+
+    stage: what the present generation is for.  move: under way; None in the first search.
+    start: of the present or the next search.
+    hypotheses, descents: None before they are needed.
+    noise: standard deviation of the loss of the first local optimum; None: it was not measured.
+    loss_only_searches: restarts because losses, not images, said so.
+    guided: whether images said where to go on when the last search was over.
 
     Raises OptionError for groups that are declared wrongly.
     """
@@ -167,28 +179,60 @@ class MovePolicy:
             values=Values(axes, layout),
         )
         self._candidates = max(_CANDIDATES, popsize)
-        self.hypotheses = Hypotheses(posterior, dim, sets=bool(groups), place=self.known.place)
-        self._resample = Resample(self.hypotheses)
-        family = _family(self.known, self._resample)
-        self._choice = Choice({move.name: move.prior_gain for move in family}, _COST * popsize)
-        self._moves = {move.name: move for move in (*family, self.hypotheses)}
+        self._sets = bool(groups)
+        family: list[Move] = [
+            Split(), HalfTurn(), RelocateGroup(), RelocateSegment(), Coarsen(), Refine(),
+            RandomRestart(),
+        ]  # fmt: skip
+        if self.known.values.discrete.any():
+            family.append(ChangeValue())
+        self._moves = {move.name: move for move in family}
+        priors = {move.name: move.prior_gain for move in family}
+        self._choice = Choice(priors | _RESAMPLE, _COST * popsize)
         self._rng = np.random.default_rng((seed, 1))
-        self.stage, self.move = self.hypotheses.first
-        """What the present generation is for; the move under way, None in the first search."""
         self.start = Start(x0, self.known.sigma0)
-        self.descents = Descents(axes, self.known.place)
-        self.descends = descends and self.descents.possible
-        """Whether a run begins with descents."""
+        self.hypotheses: Hypotheses | None = None
+        self.descents: Descents | None = None
+        self.descends = False
         self.noise: float | None = None
-        """Standard deviation of the loss of the first local optimum; None: it was not measured."""
-        self.loss_only_searches = 0
-        """Restarts because losses, not images, said so."""
-        self.guided = True
-        """Whether images said where to go on when the last search was over."""
+        self.loss_only_searches, self.guided = 0, True
+        self._begin(posterior)
+        if descends:
+            self._need_descents()
+            self.descends = self.descents is not None and self.descents.possible
+
+    def _begin(self, posterior: Posterior | None) -> None:
+        """Begin with hypotheses of the target; None: with a search."""
+        self.stage, self.move = Stage.SEARCH, None
+        if posterior is not None or self.hypotheses is not None:
+            self._need_hypotheses().begin(posterior)
+        if self.hypotheses is not None and self.hypotheses.available:
+            self.stage, self.move = Stage.RESTART, self.hypotheses.name
+
+    def _need_hypotheses(self) -> Hypotheses:
+        if self.hypotheses is None:
+            from fide_plugins.search.hypotheses import Hypotheses, Resample
+
+            known = self.known
+            self.hypotheses = Hypotheses(None, known.dim, sets=self._sets, place=known.place)
+            for move in (Resample(self.hypotheses), self.hypotheses):
+                self._moves[move.name] = move
+        return self.hypotheses
+
+    def _need_descents(self) -> Descents:
+        if self.descents is None:
+            from fide_plugins.search.descents import Descents
+
+            self.descents = Descents(self.known.axes, self.known.place)
+        return self.descents
+
+    def is_wider(self, posterior: Posterior, start: Start) -> bool:
+        """Whether hypotheses of a model say less exactly than a start where the answer is."""
+        return self._need_hypotheses().is_wider(posterior, self.known, start)
 
     def begin_around_guess(self, rng: np.random.Generator) -> None:
         """Begin with descents from points around the guess."""
-        self.descents.begin_around(self.known.x0, self.known.sigma0, rng)
+        self._need_descents().begin_around(self.known.x0, self.known.sigma0, rng)
         self.stage = Stage.DESCENT
 
     @property
@@ -205,62 +249,54 @@ class MovePolicy:
         return self.move == Coarsen.name
 
     @property
-    def ended(self) -> list[int]:
-        """Searches that ended in each of the distinct places, the best first (`status.Facts`)."""
-        return [optimum.searches for optimum in self.known.optima.all]
-
-    def probabilities(self, losses: Sequence[float], X: Float64) -> Float64 | None:
-        """Probabilities (m,) of answers X (m, d) with these losses; None without hypotheses."""
-        if not self.hypotheses.available or not len(X):
-            return None
-        found, known = self.hypotheses, self.known
-        alike = known.exchangeability, known.axes
-        return probabilities(losses, X, found.x, found.typical, self.noise, *alike)
-
-    def is_wider(self, posterior: Posterior, start: Start) -> bool:
-        """Whether hypotheses of a model say less exactly than a start where the answer is."""
-        return self.hypotheses.is_wider(posterior, self.known, start)
+    def _the_move(self) -> Move:
+        assert self.move is not None
+        return self._moves[self.move]
 
     # -- after a search ----------------------------------------------------------------------------
 
-    def after_search(
-        self, found: TrainingSample | None, evaluations: int, *, guided: bool
-    ) -> Stage:
-        """Say what comes after a search that is over.
+    def after_search(self, found: TrainingSample | None, evaluations: int, *, guided: bool) -> None:
+        """Decide what comes after a search that is over.
 
         found: its best candidate, or that of its restart candidates, whose image is known.
         evaluations: since the last search was over.
         guided: whether images say where to go on.
         """
-        self.guided = guided
-        if self.hypotheses.waiting:
-            return self._after_hypothesis(found, evaluations)
-        if found is None or not guided:
-            self.known.incumbent, self.guided = None, False
+        self.guided, known = guided, self.known
+        if self.hypotheses is not None and self.hypotheses.waiting:
+            self._after_hypothesis(self.hypotheses, found, evaluations)
+        elif found is None or not guided:
+            known.incumbent, self.guided = None, False
             self.loss_only_searches += 1
-            self.move = RandomRestart.name
+            self.stage, self.move = Stage.SEARCH, RandomRestart.name
             restart = self._the_move
             assert isinstance(restart, RandomRestart)
-            number = self.loss_only_searches
-            self.start = restart.start_without_images(self.known, number, self._rng)
-            return self._go(Stage.SEARCH)
-        self._note_end(found, evaluations)
-        return self._decide()
+            self.start = restart.start_without_images(known, self.loss_only_searches, self._rng)
+        else:
+            self._note_end(found, evaluations)
+            self._choose()
 
-    def _after_hypothesis(self, found: TrainingSample | None, evaluations: int) -> Stage:
+    def _after_hypothesis(
+        self, hypotheses: Hypotheses, found: TrainingSample | None, evaluations: int
+    ) -> None:
         """Refine what is in the right place, draw again what is open, or take the next one."""
         before = self.known.incumbent
         if found is not None:
             self._note_end(found, evaluations)
-        if self.guided and self._refines():
-            self.move = Refine.name
-            self._begin_at(self.known.current.x)
-            self.start = replace(self.start, to_the_end=False)  # other hypotheses wait
-            return self._go(Stage.SEARCH)
-        if self.guided and self._resamples(before):
-            self.move = Resample.name
-            return self._go(Stage.RESTART)
-        return self._begin_at_hypothesis()
+        now, below = self.known.incumbent, hypotheses.strict_above
+        if self.guided and now is not None:
+            optimum = self.known.optima.of(now)
+            near = below is not None and now.loss <= below
+            if near and optimum is not None and not optimum.refined:
+                self.stage, self.move = Stage.SEARCH, Refine.name
+                start = self._the_move.begin_at(self.known, now.x)
+                self.start = replace(start, to_the_end=False)  # other hypotheses wait
+                return
+            helped = self.move == hypotheses.name or now is not before
+            if helped and self._moves["resample"].possible(self.known):
+                self.stage, self.move = Stage.RESTART, "resample"
+                return
+        self._begin_at_hypothesis(hypotheses)
 
     def _note_end(self, found: TrainingSample, evaluations: int) -> None:
         """Note what the move brought, and who is the incumbent."""
@@ -268,8 +304,10 @@ class MovePolicy:
         left = incumbent if self.move is not None and self._the_move.from_incumbent else None
         apart = left is None or known.began_apart(self.start.mean, found.x)
         best = known.optima.note(found, known.exchangeability.distance, began_apart=apart)
-        if left is not None:
-            self._choice.note(self._the_move.name, _gain(left.loss, found.loss), evaluations)
+        if left is not None:  # losses may be negative, and of any size
+            scale = max(abs(left.loss), abs(found.loss), 1e-300)
+            gain = min(1.0, max(0.0, left.loss / scale - found.loss / scale))
+            self._choice.note(self._the_move.name, gain, evaluations)
             if found.loss >= left.loss:
                 known.optima.fail(left)
         if best:
@@ -281,52 +319,27 @@ class MovePolicy:
             self.known.removal.forget()
         self.known.incumbent = incumbent
 
-    def _decide(self) -> Stage:
+    def _choose(self) -> None:
         """Choose the next move, and the stage that comes first."""
         known = self.known
         if not known.exchangeability.finished:
             if known.incumbent is None:  # the last search began without images, and was no better
                 self._leave(known.optima.all[0].sample)
-            return self._go(Stage.EXCHANGE)
+            self.stage = Stage.EXCHANGE
+            return
         blocks = known.exchangeability.blocks
         following = known.optima.next(_TOLERANCE if blocks is None else len(blocks))
-        if following is None:
-            self.move = RandomRestart.name
-            return self._go(Stage.RESTART)
-        self._leave(following)
-        moves = self._moves.values()
-        possible = [one.name for one in moves if one.from_incumbent and one.possible(known)]
-        self.move = self._choice.draw(possible or [RandomRestart.name], self._rng)
-        return self._go(self._the_move.needs(known) or Stage.RESTART)
+        self.stage, self.move = Stage.RESTART, RandomRestart.name
+        if following is not None:
+            self._leave(following)
+            moves = [self._moves[name] for name in self._choice.names if name in self._moves]
+            possible = [one.name for one in moves if one.from_incumbent and one.possible(known)]
+            self.move = self._choice.draw(possible or [RandomRestart.name], self._rng)
+            self.stage = self._the_move.needs(known) or Stage.RESTART
 
-    def _refines(self) -> bool:
-        """Whether the best so far is in the right place, and not yet at the end of its search."""
-        known, below = self.known, self.hypotheses.strict_above
-        if known.incumbent is None or below is None or known.incumbent.loss > below:
-            return False
-        optimum = known.optima.of(known.incumbent)
-        return optimum is not None and not optimum.refined
-
-    def _resamples(self, before: TrainingSample | None) -> bool:
-        """Whether to draw again what is open: after a hypothesis, and as long as that helps."""
-        known = self.known
-        if known.incumbent is None or not self._resample.possible(known):
-            return False
-        return self.move == self.hypotheses.name or known.incumbent is not before
-
-    def _begin_at(self, x: Float64) -> None:
-        """Let the next search begin where the move says, given its restart candidate x (d,)."""
-        self.start = self._the_move.begin_at(self.known, x)
-        self._the_move.note_begun(self.known, x)
-
-    def _begin_at_hypothesis(self) -> Stage:
-        self.move = self.hypotheses.name
-        self.start = self.hypotheses.next(self.known, self.start)
-        return self._go(Stage.SEARCH)
-
-    def _go(self, stage: Stage) -> Stage:
-        self.stage = stage
-        return stage
+    def _begin_at_hypothesis(self, hypotheses: Hypotheses) -> None:
+        self.stage, self.move = Stage.SEARCH, hypotheses.name
+        self.start = hypotheses.next(self.known, self.start)
 
     def retarget(self, target: Tensor, start: Start, posterior: Posterior | None) -> None:
         """Begin at `start`, or with hypotheses, for another target, tokens (T, C).
@@ -337,10 +350,10 @@ class MovePolicy:
         known.target, known.incumbent, known.optima = target, None, Optima()
         known.removal.forget()
         known.values.forget()
-        self.hypotheses.begin(posterior)
         self.noise = None  # of the loss, which was to another target
         self.loss_only_searches, self.guided = 0, True
-        self.start, (self.stage, self.move) = start, self.hypotheses.first
+        self.start = start
+        self._begin(posterior)
 
     # -- a generation that is no search's ----------------------------------------------------------
 
@@ -355,7 +368,7 @@ class MovePolicy:
         if self.stage is Stage.SENSITIVITY:
             return known.sensitivity.draw(known.current.x, rng)
         if self.stage is Stage.DESCENT:
-            return self.descents.draw()
+            return self._need_descents().draw()
         return self._the_move.draw(known, self._candidates, rng)
 
     @property
@@ -365,57 +378,59 @@ class MovePolicy:
 
     def learn(
         self, samples: Sequence[TrainingSample], best: Float64, target: Tensor | None = None
-    ) -> Stage:
-        """Learn from a generation that was no search's; return what comes next.
+    ) -> None:
+        """Learn from a generation that was no search's, and decide what comes next.
 
         samples: those of its candidates whose images are known, with parameters as they were asked.
         best: (d,), the candidate with the lowest loss, as it was asked.
         target: tokens (T, C), as blurred as those of the samples; None: they are sharp.
         """
-        known = self.known
+        known, blocks = self.known, self.known.exchangeability.blocks
         if self.stage is Stage.DESCENT:
-            return self._descend(samples, known.target if target is None else target)
-        if self.stage is Stage.RESTART and self._the_move is self.hypotheses:
+            self._descend(samples, known.target if target is None else target)
+        elif self.stage is Stage.RESTART and self._the_move is self.hypotheses:
             found = [(sample.loss, sample.x) for sample in samples]
             self.hypotheses.learn(found, best, known.exchangeability.distance)
             if self.descends and found:
-                return self.begin_descents(found)
-            return self._begin_at_hypothesis()
-        if self.stage is Stage.RESTART:
-            self._begin_at(self._most_promising(samples, best))
-            return self._go(Stage.SEARCH)
-        if self.stage is Stage.EXCHANGE:
+                self.begin_descents(found)
+            else:
+                self._begin_at_hypothesis(self.hypotheses)
+        elif self.stage is Stage.RESTART:
+            self.start = self._the_move.begin_at(known, self._most_promising(samples, best))
+            self.stage = Stage.SEARCH
+        elif self.stage is Stage.EXCHANGE:
             known.exchangeability.learn(known.current, samples, known.place)
             repeats = [one.loss for one in samples if np.array_equal(one.x, known.current.x)]
             if len(repeats) > 1 and max(map(abs, repeats)) < 1e150:  # squares would overflow
                 self.noise = float(np.std(repeats, ddof=1))
-            return self._decide()
-        if self.stage is Stage.REMOVAL:
-            blocks = known.exchangeability.blocks
-            assert blocks is not None
-            known.removal.learn(known.current, samples, blocks, known.channels)
+            self._choose()
         else:
-            known.sensitivity.learn(known.current, samples)
-        return self._go(Stage.RESTART)
+            if self.stage is Stage.REMOVAL and blocks is not None:
+                known.removal.learn(known.current, samples, blocks, known.channels)
+            else:
+                known.sensitivity.learn(known.current, samples)
+            self.stage = Stage.RESTART
 
-    def begin_descents(self, found: Sequence[tuple[float, Float64]]) -> Stage:
+    def begin_descents(self, found: Sequence[tuple[float, Float64]]) -> None:
         """Begin descents at the best of points that were found, as loss and x (d,)."""
-        self.descents.begin(found)
-        return self._go(Stage.DESCENT)
+        self._need_descents().begin(found)
+        self.stage = Stage.DESCENT
 
-    def _descend(self, samples: Sequence[TrainingSample], target: Tensor) -> Stage:
+    def _descend(self, samples: Sequence[TrainingSample], target: Tensor) -> None:
         """Learn from a round of descents; searches begin where these end, the best first."""
-        self.descents.learn(samples, target)
-        if self.descents.under_way and len(self.descents.x):
-            return self._go(Stage.DESCENT)
-        if not len(self.descents.x):  # no image is known
-            return self._go(Stage.SEARCH)
-        if self.hypotheses.available:
-            self.hypotheses.replace(self.descents.x)
-            return self._begin_at_hypothesis()
-        std = np.minimum(self.known.sigma0, AFTER_DESCENT)
-        self.start = replace(self.start, mean=self.descents.x[0].copy(), std=std)
-        return self._go(Stage.SEARCH)
+        descents = self._need_descents()
+        descents.learn(samples, target)
+        if descents.under_way and len(descents.x):
+            return
+        self.stage = Stage.SEARCH
+        if not len(descents.x):  # no image is known
+            return
+        if self.hypotheses is not None and self.hypotheses.available:
+            self.hypotheses.replace(descents.x)
+            self._begin_at_hypothesis(self.hypotheses)
+        else:
+            std = np.minimum(self.known.sigma0, AFTER_DESCENT)
+            self.start = replace(self.start, mean=descents.x[0].copy(), std=std)
 
     def _most_promising(self, samples: Sequence[TrainingSample], best: Float64) -> Float64:
         """Return the candidate (d,) at which the search begins.
@@ -435,19 +450,7 @@ class MovePolicy:
         scores = [float(np.minimum(before, error).sum()) for error in errors]
         return samples[int(np.argmin(scores))].x
 
-    @property
-    def _the_move(self) -> Move:
-        assert self.move is not None
-        return self._moves[self.move]
-
     # -- saving ------------------------------------------------------------------------------------
-
-    @property
-    def _parts(self) -> dict[str, Any]:
-        names = ("optima", "exchangeability", "removal", "sensitivity", "values")
-        found = {name: getattr(self.known, name) for name in names}
-        parts = {"hypotheses": self.hypotheses, "descents": self.descents}
-        return found | parts | {"choice": self._choice}
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that changes."""
@@ -458,7 +461,10 @@ class MovePolicy:
             "start": values(self.start),
             "rng": self._rng.bit_generator.state,
             "incumbent": None if incumbent is None else incumbent.state_dict(),
-            **{name: part.state_dict() for name, part in self._parts.items()},
+            "choice": self._choice.state_dict(),
+            "hypotheses": packed(self.hypotheses),
+            "descents": packed(self.descents),
+            **{name: getattr(self.known, name).state_dict() for name in _PARTS},
         }
 
     def load_state_dict(
@@ -468,13 +474,20 @@ class MovePolicy:
         known = self.known
         (tokens, channels), d = known.target.shape, known.dim
         sides = {"d": d, "T": tokens, "C": channels}
-        check(state, {**_SCHEMA, **dict.fromkeys(self._parts, anything)}, dict(sides), "moves")
+        parts = (*_PARTS, "choice", "hypotheses", "descents")
+        check(state, {**_SCHEMA, **dict.fromkeys(parts, anything)}, dict(sides), "moves")
+        found: dict[str, Any] = {name: getattr(known, name) for name in _PARTS}
+        found["choice"] = self._choice
+        if state["hypotheses"] is not None:
+            found["hypotheses"] = self._need_hypotheses()
+        if state["descents"] is not None:
+            found["descents"] = self._need_descents()
         self._check(state)
         for name in _PLAIN:
             setattr(self, name, state[name])
         self.stage, self.start = Stage(state["stage"]), Start(**state["start"])
         self._rng.bit_generator.state = state["rng"]
-        for name, part in self._parts.items():
+        for name, part in found.items():
             part.load_state_dict(state[name], sides, device)
         saved = state["incumbent"]
         known.incumbent = None if saved is None else TrainingSample.from_state(saved, device)
@@ -485,8 +498,11 @@ class MovePolicy:
     def _check(self, state: Mapping[str, Any]) -> None:
         """Raise ValueError unless stage, move and incumbent fit together."""
         stage, move, moves = Stage(state["stage"]), state["move"], self._moves
-        if stage is Stage.DESCENT and state["descents"]["round"] >= self.descents.rounds:
-            raise ValueError("moves['stage'] is 'descent', and all rounds are over")
+        descents = state["descents"]
+        if stage is Stage.DESCENT and (
+            self.descents is None or descents["round"] >= self.descents.rounds
+        ):
+            raise ValueError("moves['stage'] is 'descent', and no round is left")
         without = Stage.SEARCH, Stage.EXCHANGE, Stage.DESCENT
         if move not in moves and (move is not None or stage not in without):
             raise ValueError(f"moves['move'] is {move!r} in the stage {stage.value!r}")
@@ -496,20 +512,3 @@ class MovePolicy:
             raise ValueError(f"moves['incumbent'] is None in the stage {stage.value!r}")
         if stage is Stage.REMOVAL and state["exchangeability"]["blocks"] is None:
             raise ValueError("moves['exchangeability']['blocks'] is None while blocks are removed")
-
-
-def _family(known: Known, resample: Resample) -> list[Move]:
-    """Moves that a scene may need."""
-    family: list[Move] = [
-        Split(), HalfTurn(), RelocateGroup(), RelocateSegment(), Coarsen(), Refine(),
-        RandomRestart(),
-    ]  # fmt: skip
-    if known.values.discrete.any():
-        family.append(ChangeValue())
-    return [*family, resample]
-
-
-def _gain(before: float, after: float) -> float:
-    """By how much of it a loss was lowered, in [0, 1]; losses may be negative, and of any size."""
-    scale = max(abs(before), abs(after), 1e-300)
-    return min(1.0, max(0.0, before / scale - after / scale))

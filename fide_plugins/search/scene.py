@@ -1,10 +1,12 @@
 """What has been found out about the scene: its parameters, and its local optima (`moves.Known`).
 
-Nothing in this module knows a move.  `search.exchangeability` finds exchangeable blocks.
+Nothing in this module knows a move.
 """
 
 from __future__ import annotations
 
+import operator
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, TypeAlias
@@ -12,140 +14,276 @@ from typing import Any, ClassVar, TypeAlias
 import numpy as np
 from torch import Tensor, device
 
+from fide_plugins.errors import OptionError
 from fide_plugins.population.candidate import TrainingSample
 from fide_plugins.runtime.schema import (
     Schema,
     Sides,
     Stateful,
+    anything,
     array,
     check,
     each,
+    flag,
     form,
+    maybe,
     row,
     whole,
 )
 from fide_plugins.search import mixed
-from fide_plugins.search.mixed import periodic_axes
-from fide_plugins.space.layout import Layout
+from fide_plugins.search.mixed import Axes
 from fide_plugins.types import Float64, Indices
 
+# -- exchangeable blocks ---------------------------------------------------------------------------
 
-class Axes:
-    """Which axes of the cube are one parameter, and which wrap around.
+_MOST_LAYOUTS = 24  # layouts tested in a round
+_LONGEST = 12  # blocks that are tested at the ends
+_REPEATS = 2  # renders of the local optimum itself
+_NOISE = 3.0  # times the noise that a change may have
+_SEEN = 3.0  # times as much again that a control must change
+_ROUNDING = 1e-8  # of the change by a permutation: what rounding may change
+_LITTLE = 0.15  # of that change: what an order of painting may change
+_EQUAL = 2.0  # times the least change: layouts that hold as well
+_FINISHED = 3  # rounds
+_DECLARED = 4  # nothing is to be found; repeats say what noise is
 
-    A choice of n > 2 values has n axes, of which the largest coordinate decides: moved alone, they
-    mostly change nothing, so moves move them together.
 
-    dim: d.  layout: what is discrete or periodic; None: nothing.
-    parameter_of: (d,), number of the parameter of each axis, from 0.
-    axes_of: axes of each parameter.
-    """
-
-    def __init__(self, dim: int, layout: Layout | None = None) -> None:
-        self.dim = dim
-        self.periodic = periodic_axes(layout)
-        first: Indices = np.arange(dim)  # axis of the parameter of each axis
-        for block in () if layout is None else layout.choices:
-            first[block] = block.start
-        self.parameter_of: Indices = np.unique(first, return_inverse=True)[1]
-        numbers = range(self.parameter_of[-1] + 1)
-        self.axes_of = [np.flatnonzero(self.parameter_of == i) for i in numbers]
-
-    def together(self, chosen: Indices) -> Indices:
-        """All axes of the parameters that these axes are of."""
-        if len(self.axes_of) == self.dim:
-            return chosen
-        return np.flatnonzero(np.isin(self.parameter_of, self.parameter_of[chosen]))
-
-    def whole(self, blocks: Indices) -> bool:
-        """Whether no parameter has axes in a block (one row each) and outside of it."""
-        return all(len(self.together(block)) == len(block) for block in blocks)
-
-    def difference(self, x: Float64, y: Float64, which: Indices | None = None) -> Float64:
-        """Differences of coordinates x and y (..., d), the shorter way around; at least 0.
-
-        which: axes (..., m) of coordinates x and y (..., m); None: all.
-        """
-        periodic = self.periodic
-        return mixed.distance(
-            x, y, periodic if periodic is None or which is None else periodic[which]
+def check_groups(groups: Sequence[Sequence[int]], dim: int) -> Indices:
+    """Return declared exchangeable groups as a layout (n, L); raises OptionError."""
+    try:
+        lists = [[operator.index(i) for i in group] for group in groups]
+    except TypeError:
+        lists = []
+    numbers = [i for group in lists for i in group]
+    sound = len(lists) >= 2 and len({len(group) for group in lists}) == 1 and numbers
+    if not sound or len(set(numbers)) < len(numbers) or not set(numbers) <= set(range(dim)):
+        raise OptionError(
+            "groups must be at least two lists of parameter numbers, all of one length, without "
+            f"overlap, each number from 0 to {dim - 1}; got {groups!r}"
         )
-
-    def inside(self, x: Float64) -> Float64:
-        """Points (..., d) of the cube: periodic axes are wrapped, all others are clipped."""
-        return mixed.inside(x, self.periodic)
+    return np.array(lists, np.intp)
 
 
-# -- integers and choices --------------------------------------------------------------------------
+class Exchangeability(Stateful):
+    """Layout of exchangeable blocks, and the tests that find it.
 
-_REMEMBERED = 200  # combinations
-_CELLS_AWAY = (*range(2, 9), *(2**i for i in range(4, 10)))
-_BEYOND = 1e-9  # beyond an edge, and in the next cell
+    A *layout* says which parameters form which block: indices (n, L), n blocks of length L;
+    contiguous, or strided (one parameter of all blocks, then the next), with or without leftovers.
 
+    The tests are renders of a local optimum with its blocks rotated by one place, which moves every
+    block, and changes the order of one only.  A layout holds if the image changes by no more than
+    noise does, which is measured by renders of the local optimum itself, or by little of what a
+    random permutation of the parameters changes.  Three rounds: layouts without leftovers, for
+    every divisor L of d; if none holds, the first two and the last two blocks of every length; if
+    one of these holds, each further block against the first.
 
-class Values(Stateful):
-    """Which other values integers and choices can have, and which combinations were searched.
-
-    axes: those of one parameter.  layout: what is discrete in the cube.  None: nothing is.
-    discrete: (d,), axes on which many points stand for one value.
+    dim: d.
+    channels: leading channels of the tokens in which images are compared; None: all.
+    groups: declared blocks; None: to be found; empty: there are none.
+    axes: which of them are one parameter or periodic; None: each is a parameter with walls.
+    blocks: layout (n, L); None where none is known.
+    ordered: whether the order of blocks shows a little, as painting does.
     """
 
-    SCHEMA: ClassVar[dict[str, Schema]] = {"searched": array("m", "discrete", low=0.0, high=1.0)}
+    SCHEMA: ClassVar[dict[str, Schema]] = {
+        "round": whole(0, _DECLARED),
+        "ordered": flag,
+        "blocks": anything,
+        "found": anything,
+    }
 
-    def __init__(self, axes: Axes | None = None, layout: Layout | None = None) -> None:
-        self._axes, self._layout = axes, layout
-        self.discrete = np.zeros(1, bool) if layout is None else layout.discrete
-        self.forget()
+    def __init__(
+        self,
+        dim: int,
+        channels: int | None,
+        groups: Sequence[Sequence[int]] | None = None,
+        axes: Axes | None = None,
+    ) -> None:
+        self.dim, self.channels = dim, channels
+        self._axes = axes or Axes(dim)
+        self.blocks: Indices | None = None
+        self.ordered = False
+        self._round = 0
+        self._found: Indices | None = None  # tested closely: a pair, or all blocks
+        if groups is not None:
+            self._round = _DECLARED
+            if len(groups):
+                self.blocks, self.ordered = check_groups(groups, dim), True
 
-    def forget(self) -> None:
-        """Begin again, for another target."""
-        self._searched = np.empty((0, int(self.discrete.sum())))  # the oldest first
+    @property
+    def finished(self) -> bool:
+        """Whether there is nothing more to test."""
+        return self._round == _FINISHED
 
-    def others(self, x: Float64) -> Float64:
-        """Copies (n, d) of a rendered point x (d,), each with another value of one parameter.
+    @property
+    def leftovers(self) -> Indices:
+        """Parameters that are in no block."""
+        used = [] if self.blocks is None else self.blocks.ravel().tolist()
+        return np.setdiff1d(np.arange(self.dim), np.array(used, np.intp))
 
-        All values of a choice; of an integer those up to 8 cells away, and 16, 32, ... 512.
+    def distance(self, x: Float64, y: Float64) -> float:
+        """Largest difference of a parameter of x and y, (d,) each, blocks in the best order.
+
+        That is the order with the least sum of the blocks' largest differences.
         """
-        if self._layout is None or self._axes is None:
-            return np.empty((0, len(x)))
-        parameters = [axes for axes in self._axes.axes_of if self.discrete[axes[0]]]
-        rows = [row for axes in parameters for row in self._changed(x, axes)]
-        every = self._layout.snap(np.array(rows).reshape(-1, len(x)))
-        every = every[(every != x).any(axis=1)]
-        distinct: Float64 = every[np.sort(np.unique(every, axis=0, return_index=True)[1])]
-        return distinct
+        difference = self._axes.difference(x, y)
+        if self.blocks is None:
+            return float(difference.max())
+        costs = self._costs(x, y)
+        matched = costs[_matched(costs)].max()
+        return float(max(matched, difference[self.leftovers].max(initial=0.0)))
 
-    def _changed(self, x: Float64, axes: Indices) -> Float64:
-        """Copies (m, d) of x with coordinates of one parameter changed, x itself among them."""
-        if len(axes) > 1:
-            rows = np.tile(x, (len(axes), 1))
-            rows[:, axes] = np.eye(len(axes))
-            return rows
-        assert self._layout is not None
-        (i,) = axes
-        edges = [float(edge[i]) for edge in self._layout.cells(x) if np.isfinite(edge[i])]
-        values = [edge + np.copysign(_BEYOND, edge - x[i]) for edge in edges]
-        width = 2 * min((abs(edge - x[i]) for edge in edges), default=1.0)
-        values += [v for n in _CELLS_AWAY for v in (x[i] - n * width, x[i] + n * width)]
-        values = [v for v in values if 0 <= v <= 1]
-        rows = np.tile(x, (len(values), 1))
-        rows[:, i] = values
-        return rows
+    def aligned(self, x: Float64, y: Float64) -> Float64:
+        """Copy of x (d,) with its blocks in the order that is nearest to y (d,), see `distance`."""
+        aligned = x.copy()
+        if self.blocks is not None:
+            rows, places = _matched(self._costs(x, y))
+            aligned[self.blocks[places]] = x[self.blocks[rows]]
+        return aligned
 
-    def searches(self, X: Float64) -> Indices:
-        """How often a search began at the values of each point (n, d), (n,)."""
-        same = X[:, None, self.discrete] == self._searched
-        return np.asarray(same.all(axis=2).sum(axis=1), np.intp)
+    def _costs(self, x: Float64, y: Float64) -> Float64:
+        """Largest differences (n, n) of each block of x from each of y."""
+        assert self.blocks is not None
+        blocks = self.blocks
+        costs: Float64 = self._axes.difference(x[blocks][:, None], y[blocks], blocks).max(axis=2)
+        return costs
 
-    def note(self, x: Float64) -> None:
-        """Note that a search begins at the values of x (d,)."""
-        self._searched = np.vstack([self._searched, x[self.discrete]])[-_REMEMBERED:]
+    def draw(self, x: Float64) -> Float64:
+        """Candidates (n, d) that test the local optimum x (d,): repeats, a control, and layouts.
 
-    def _sides(self) -> Sides:
-        return {"discrete": int(self.discrete.sum())}
+        Where blocks are declared there are only the repeats: the policy learns the noise from them.
+        """
+        if self._round == _DECLARED:
+            return np.stack([x] * _REPEATS)
+        control = x[np.random.default_rng(self.dim).permutation(self.dim)]
+        if self._found is not None:  # as far as the exchange of the pair, the other way
+            control = mixed.into(2 * x - _rotated(x, self._found))
+        rotated = [_rotated(x, layout) for layout in self._layouts()]
+        return np.stack([*[x] * _REPEATS, control, *rotated])
+
+    def learn(
+        self,
+        incumbent: TrainingSample,
+        samples: Sequence[TrainingSample],
+        place: Callable[[Float64], Float64] = np.copy,
+    ) -> None:
+        """Learn from the renders of what `draw` gave for the incumbent; some may be missing.
+
+        place: what became of these points before they were rendered.
+        """
+        if self._round == _DECLARED:
+            self._round = _FINISHED
+            return
+        plan, layouts = place(self.draw(incumbent.x)), self._layouts()
+        changes = _changes(plan, incumbent, samples, self.channels)
+        noise, control, tests = _NOISE * changes[0], changes[_REPEATS], changes[_REPEATS + 1 :]
+        equal = (plan[_REPEATS + 1 :] == incumbent.x).all(axis=1)  # such a test says nothing
+        exact = noise + _ROUNDING * control
+        painted = self._round == 0 or (self._found is not None and self._found.size == self.dim)
+        bound = exact + (_LITTLE * control if painted else 0.0)
+        seen = bool(np.isfinite(control) and control > _SEEN * noise)
+        holds = (tests <= bound) & ~equal & seen
+        self._round += 1
+        if self._round == _FINISHED:
+            assert self._found is not None
+            members = [layout[1:] for layout, held in zip(layouts, holds, strict=True) if held]
+            if len(members):
+                self.blocks = np.concatenate([self._found[:1], *members])
+            self.ordered = self.ordered and self.blocks is not None
+        elif holds.any():  # the shortest among those that hold best
+            best = max(exact, _EQUAL * float(tests[holds].min()))
+            which = np.flatnonzero(holds & (tests <= best))
+            layout = min((layouts[i] for i in which), key=lambda layout: layout.shape[1])
+            self.ordered = bool(tests[holds].min() > exact)
+            if self._round == 1 and not self.ordered:
+                self.blocks, self._round = layout, _FINISHED
+            else:
+                self._found, self._round = layout, 2
+        elif self._round == 2:
+            self._round = _FINISHED
+
+    def _layouts(self) -> list[Indices]:
+        """Layouts that the present round tests: of none is a parameter's axis outside its block."""
+        dim, found, every = self.dim, self._found, np.arange(self.dim)
+        layouts: list[Indices] = []
+        if self._round == 0:  # without leftovers, shortest blocks first
+            for length in (n for n in range(1, dim // 2 + 1) if dim % n == 0):
+                layouts.append(every.reshape(-1, length))
+                if length > 1:
+                    layouts.append(every.reshape(length, -1).T)
+        elif self._round == 1:  # pairs of blocks at the beginning and at the end
+            for length in range(1, min(_LONGEST, dim // 2) + 1):
+                layouts.append(every[: 2 * length].reshape(2, length))
+                layouts.append(every[dim - 2 * length :].reshape(2, length))
+        elif found is not None and found.size == dim:
+            return [found]
+        elif found is not None:  # the first block of two and each other, by their distance
+            length = found.shape[1]
+            starts = range(0, dim - length + 1, length)
+            if found[0, 0] != 0:
+                starts = range(dim - length, -1, -length)
+            pairs = [np.stack([found[0], every[start : start + length]]) for start in starts]
+            layouts = [pair for pair in pairs if pair[1, 0] != found[0, 0]]
+        most = len(layouts) if self._round == 2 else _MOST_LAYOUTS
+        together = self._axes.together
+        return [
+            layout
+            for layout in layouts[:most]
+            if all(len(together(block)) == len(block) for block in layout)
+        ]
+
+    def load_state_dict(
+        self, state: Mapping[str, Any], sides: Sides | None = None, device: Any = None
+    ) -> None:
+        """Put back what `state_dict` gave; ValueError for what it cannot have given."""
+        for name in ("blocks", "found"):
+            within = maybe(array(name, "length", kind="i", low=0, high=self.dim - 1))
+            check(state[name], within, {}, f"exchangeability[{name!r}]")
+        if state["round"] == 2 and state["found"] is None:
+            raise ValueError("exchangeability['found'] is None, and blocks are tested against it")
+        super().load_state_dict(state)
 
 
-# -- blocks and groups of parameters ---------------------------------------------------------------
+def _matched(costs: Float64) -> tuple[Indices, Indices]:
+    """Rows and columns of the assignment with the least sum of costs (n, n)."""
+    from scipy.optimize import linear_sum_assignment  # most scenes have no blocks
+
+    return linear_sum_assignment(costs)  # type: ignore[no-any-return]
+
+
+def _rotated(x: Float64, layout: Indices) -> Float64:
+    """Copy of x (d,) in which each block has the values of the next one."""
+    y = x.copy()
+    y[layout] = x[np.roll(layout, -1, axis=0)]
+    return y
+
+
+def _changes(
+    plan: Float64,
+    incumbent: TrainingSample,
+    samples: Sequence[TrainingSample],
+    channels: int | None,
+) -> Float64:
+    """Mean squared change (n,) of tokens by each row of the plan; +inf where it is missing.
+
+    Measured from the first repeat of the incumbent; those of its other images are noise.
+    """
+    images: dict[bytes, list[Tensor]] = defaultdict(list)
+    for sample in samples:
+        images[sample.x.tobytes()].append(sample.tokens)
+    repeats = [*images[incumbent.x.tobytes()], incumbent.tokens]
+    first = repeats[0][:, :channels].double()
+    changes = np.full(len(plan), np.inf)
+    for i, point in enumerate(plan):
+        seen = repeats[1:] if i < _REPEATS else images[point.tobytes()]
+        if seen:
+            changes[i] = max(
+                float((tokens[:, :channels].double() - first).square().mean()) for tokens in seen
+            )
+    return changes
+
+
+# -- what a block or a parameter changes -----------------------------------------------------------
 
 _LARGEST_COST = 1e300
 

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from fide_plugins.population.candidate import TrainingSample
 from fide_plugins.runtime.threads import one_thread
-from fide_plugins.search.scene import Axes
+from fide_plugins.search.mixed import Axes
 from fide_plugins.types import OPEN, Estimated, Float64, Indices, Mask
 from fide_plugins.uncertainty.local_fit import (
     NO_EFFECT,

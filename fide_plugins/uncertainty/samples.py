@@ -14,7 +14,7 @@ from torch import Tensor
 
 from fide_plugins.population.candidate import TrainingSample, in_order
 from fide_plugins.search import mixed
-from fide_plugins.search.scene import Axes
+from fide_plugins.search.mixed import Axes
 from fide_plugins.types import Float64, Indices, Mask
 from fide_plugins.uncertainty.local_fit import fit_locally, information
 

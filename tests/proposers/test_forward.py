@@ -144,8 +144,7 @@ def test_the_damping_balances_what_is_gained_and_what_the_model_misses(bend: flo
     x, tokens, losses = scene(40, bend=bend)
     proposer = make(capacity=40, ridge=(1e-2, 1e-2))
     proposer.update(x, tokens, losses, STD)
-    jacobian = proposer._jacobian(STD)
-    slope = proposer._slope(jacobian, images_of(ANSWER[None], bend)[0])
+    _, jacobian, slope = proposer._model(images_of(ANSWER[None], bend)[0], STD)
 
     def objective(damping: float) -> float:
         delta = slope / (jacobian.values + damping)
@@ -163,8 +162,8 @@ def test_damping_is_log_uniform_and_steps_are_cut() -> None:
     target = images_of(ANSWER[None], 1.0)[0]
     proposer = make(damping=(1e-2, 10.0), ridge=(1e-2, 1e-2), longest=100.0)
     proposer.update(x, tokens, losses, STD)
-    jacobian = proposer._jacobian(STD)
-    best, slope = x[np.argmin(losses)], proposer._slope(jacobian, target)
+    _, jacobian, slope = proposer._model(target, STD)
+    best = x[np.argmin(losses)]
     steps = ((step(proposer, target, 2000) - best) / STD) @ jacobian.vectors
     dampings = slope[0] / steps[:, 0] - jacobian.values[0]
     logs = np.sort(np.log10(dampings / _balanced(jacobian, slope)))

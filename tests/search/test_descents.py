@@ -12,8 +12,8 @@ import torch
 from fide_plugins import FIDE, Choice, Float, Space
 from fide_plugins.population.candidate import TrainingSample
 from fide_plugins.search.descents import Descents
+from fide_plugins.search.mixed import Axes
 from fide_plugins.search.moves import Stage
-from fide_plugins.search.scene import Axes
 from fide_plugins.types import Float64
 
 ANSWER = np.array([0.3, 0.62, 0.55])

@@ -11,7 +11,7 @@ import torch
 
 from fide_plugins import FIDE, Solution, fit
 from fide_plugins.population.candidate import TrainingSample
-from fide_plugins.search.scene import Axes
+from fide_plugins.search.mixed import Axes
 from fide_plugins.space import Choice, Float, Int, Space
 from fide_plugins.types import Float32, Float64
 from fide_plugins.uncertainty import LocalEstimate, estimate

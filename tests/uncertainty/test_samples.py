@@ -10,7 +10,7 @@ import torch
 
 from fide_plugins import FIDE
 from fide_plugins.population.candidate import TrainingSample
-from fide_plugins.search.scene import Axes
+from fide_plugins.search.mixed import Axes
 from fide_plugins.space import Choice, Float, Int, Space
 from fide_plugins.types import Float32, Float64, Solution
 from fide_plugins.uncertainty import LocalEstimate

@@ -12,10 +12,10 @@ import torch
 from fide_plugins import Choice, Float, Int, Space
 from fide_plugins.options import Options
 from fide_plugins.population.candidate import TrainingSample
-from fide_plugins.search.exchangeability import Exchangeability
+from fide_plugins.search.mixed import Axes, Values
 from fide_plugins.search.moves import ChangeValue, Known
 from fide_plugins.search.one_search import Search, Setting
-from fide_plugins.search.scene import Axes, Removal, Sensitivity, Values
+from fide_plugins.search.scene import Exchangeability, Removal, Sensitivity
 from fide_plugins.types import Float64
 
 SPACE = Space(
@@ -78,7 +78,7 @@ def test_each_value_is_searched_before_one_is_searched_again(known: Known) -> No
         assert 1 <= len(X) <= 20
         x = X[rng.integers(len(X))]
         seen += changes(x[None])
-        move.note_begun(known, x)
+        move.begin_at(known, x)  # which notes it
     assert len(set(seen)) == total
     assert len(move.draw(known, 1000, rng)) == total, "all again"
 

@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from fide_plugins.population.candidate import TrainingSample
-from fide_plugins.search.exchangeability import Exchangeability
 from fide_plugins.search.hypotheses import Hypotheses, Resample
+from fide_plugins.search.mixed import Axes, Values
 from fide_plugins.search.moves import (
     ChangeValue,
     Coarsen,
@@ -23,7 +23,7 @@ from fide_plugins.search.moves import (
     RelocateSegment,
     Split,
 )
-from fide_plugins.search.scene import Axes, Removal, Sensitivity, Values
+from fide_plugins.search.scene import Exchangeability, Removal, Sensitivity
 from fide_plugins.space import Choice, Float, Int, Space
 from fide_plugins.types import Posterior
 
@@ -114,7 +114,6 @@ def test_a_search_begins_at_a_candidate_or_at_the_incumbent(case: tuple[Move, Kn
     expected = known.current.x if move.name == "refine" else x
     np.testing.assert_array_equal(start.mean, expected)
     assert start.std.shape == (known.dim,) and (start.std > 0).all()
-    move.note_begun(known, x)  # and says whether it may be tried again
     assert move.possible(known) == (move.name != "refine")
 
 

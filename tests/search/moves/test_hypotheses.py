@@ -23,6 +23,7 @@ def begin(hypotheses: Float64) -> Float64:
         np.full(d, 0.5), np.full(d, 1 / 6), 9, torch.zeros(1, 3), 3, 0,
         SPACE.largest_family, SPACE.layout, Posterior(hypotheses),
     )  # fmt: skip
+    assert policy.hypotheses is not None
     policy.hypotheses.learn([(0.0, TRUTH)], TRUTH, policy.known.exchangeability.distance)
     return policy.hypotheses.next(policy.known, policy.start).std
 
@@ -52,6 +53,7 @@ def test_of_sets_few_are_rendered_and_one_is_searched_narrowly() -> None:
     assert rendered[0] < rendered[1] / 2
     stds, waiting = [], []
     for policy in policies:
+        assert policy.hypotheses is not None
         found = [(float(i), row) for i, row in enumerate(policy.draw(rng))]
         policy.hypotheses.learn(found, found[0][1], policy.known.exchangeability.distance)
         stds.append(policy.hypotheses.next(policy.known, policy.start).std.max())

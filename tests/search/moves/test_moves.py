@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fide_plugins.population.candidate import TrainingSample
-from fide_plugins.search.exchangeability import Exchangeability
+from fide_plugins.search.mixed import Axes
 from fide_plugins.search.moves import (
     HalfTurn,
     Known,
@@ -16,7 +16,7 @@ from fide_plugins.search.moves import (
     Stage,
     segment,
 )
-from fide_plugins.search.scene import Axes, Removal, Sensitivity
+from fide_plugins.search.scene import Exchangeability, Removal, Sensitivity
 from fide_plugins.types import Float64
 
 from ..conftest import brightest, sample

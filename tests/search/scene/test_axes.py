@@ -8,12 +8,12 @@ import torch
 
 from fide_plugins import Choice, Float, Int, Space
 from fide_plugins.population.candidate import TrainingSample
-from fide_plugins.search.exchangeability import Exchangeability
+from fide_plugins.search.mixed import Axes, Values
 from fide_plugins.search.moves import (
     HalfTurn,
     Known,
 )
-from fide_plugins.search.scene import Axes, Removal, Sensitivity, Values
+from fide_plugins.search.scene import Exchangeability, Removal, Sensitivity
 from fide_plugins.types import Float64
 
 SPACE = Space(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fide_plugins.errors import OptionError
-from fide_plugins.search.exchangeability import Exchangeability, check_groups
+from fide_plugins.search.scene import Exchangeability, check_groups
 from fide_plugins.types import Float64
 
 from ..conftest import additive, painted, sample

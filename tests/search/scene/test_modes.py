@@ -7,10 +7,10 @@ import pytest
 import torch
 
 from fide_plugins.fide import FIDE
-from fide_plugins.search.exchangeability import Exchangeability
 from fide_plugins.search.hypotheses import _nearest_shares, probabilities
+from fide_plugins.search.mixed import Axes
 from fide_plugins.search.policy import MovePolicy
-from fide_plugins.search.scene import Axes
+from fide_plugins.search.scene import Exchangeability
 from fide_plugins.space import Float, Space
 from fide_plugins.types import Float64, Posterior
 
@@ -107,7 +107,7 @@ def searched(opt: FIDE, renders: int) -> FIDE:
 def test_both_answers_of_two_cells_are_as_probable(monkeypatch: pytest.MonkeyPatch) -> None:
     there = Posterior(posterior(256, 256))
     monkeypatch.setattr(FIDE, "_model_of", lambda *_: (None, there))
-    opt = searched(FIDE(4, two_cells(A), seed=0, groups=[]), 1200)
+    opt = searched(FIDE(4, two_cells(A), seed=0, groups=[], learned="a model"), 1200)
     found = opt.solutions()
     likely = [one for one in found if one.probability is not None and one.probability > 0.1]
     assert {bool(one.x[0] < 0.5) for one in likely} == {True, False} and len(likely) == 2
@@ -120,7 +120,7 @@ def test_both_answers_of_two_cells_are_as_probable(monkeypatch: pytest.MonkeyPat
 
     monkeypatch.undo()  # there is no model of the next picture
     opt.retarget(two_cells(B + 0.05))
-    assert not opt.state.moves.hypotheses.available
+    assert opt.state.moves.hypotheses is not None and not opt.state.moves.hypotheses.available
     assert all(one.probability is None for one in searched(opt, 1400).solutions())
 
 
@@ -137,5 +137,7 @@ def test_probabilities_are_shares_of_draws_not_of_refined_points() -> None:
         for i, (x, loss) in enumerate(zip(X, losses, strict=True))
     ]
     policy.learn(samples, A)
-    probable = policy.probabilities([1e-9, 1e-8], np.stack([A, B]))
+    assert policy.hypotheses is not None
+    found = policy.hypotheses
+    probable = of([1e-9, 1e-8], np.stack([A, B]), found.x, found.typical)
     assert probable == pytest.approx([0.75, 0.25], abs=0.01)
