@@ -38,13 +38,14 @@ def adapt_light(optimizer: FIDE) -> None:
         return
     kept.considered = generations
     assert evaluator.comparison is not None and kept.images is not None
+    comparison, before = evaluator.comparison, evaluator.comparison.state_dict()
     if kept.other_colors is None:
-        kept.other_colors = evaluator.comparison.has_other_colors(kept.images)
-    if not kept.other_colors:
-        return
-    light = evaluator.comparison.light_that_explains(kept.images)
-    if light != evaluator.comparison.light:
-        evaluator.comparison.light = light
+        kept.other_colors = comparison.has_other_colors(kept.images)
+        if optimizer.options.photo:
+            comparison.camera = comparison.camera_blur(kept.images)
+    if kept.other_colors:
+        comparison.light = comparison.light_that_explains(kept.images)
+    if comparison.state_dict() != before:
         compare_anew(optimizer)
 
 

@@ -220,7 +220,8 @@ class Evaluator:
         other.loss = loss_of(views, loss, device=self._device)
         other.encoder = encoder_of(views, self.encoder)
         if self.comparison is not None:
-            other.comparison = other._compared_by(**self.comparison.options)
+            options = {**self.comparison.options, "camera": 0.0}  # of other pixels
+            other.comparison = other._compared_by(**options)
         shown = other.target if other.comparison is None else other.comparison.target()
         other.target_tokens = other.encoder.compute(shown[None])[0]  # (T, C)
         return other

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fide_plugins.comparison.comparison import blurred
+from fide_plugins.comparison.blur import blurred
 from fide_plugins.runtime.schema import anything, array, check, each, flag, maybe, real, whole
 from fide_plugins.types import Float32, Float64
 from fide_plugins.views import Views
@@ -51,9 +51,9 @@ _JUDGED = (0.04, 0.08)  # blurs that are compared with sharp images, in sides of
 _SEEN = 36  # candidates that decide
 _SIDE = 96  # pixels to which their images are reduced
 _LEAST_CONTRAST = 0.09  # of the variance of a sharp render, in what it covers
-_LEAST_RATIO, _LEAST_GAIN = 1.1, 0.05  # of the predictability, for blurs to be useful
+_LEAST = 1.1, 0.05  # ratio and gain of the predictability, for blurs to be useful
 _MUCH, _LITTLE = 1.6, 0.8  # such a ratio, or so little agreement: the first search begins again
-_HARDLY = 0.7  # less agreement: searches are as patient as where the user asks for blurs
+_HARDLY, _LEAST_IF_HARDLY = 0.7, (1.03, 0.02)  # less agreement, and then the same
 _RIDGES = np.geomspace(1e-4, 1.0, 7)
 
 
@@ -125,8 +125,10 @@ class ScaleSpace:
         X = np.array([x for _, x, _ in seen])
         scores = [predictability(_flat(seen, blur), X) for blur in (0.0, *_JUDGED)]
         sharp, best = scores[0], max(scores)
-        self.useful = best >= _LEAST_RATIO * sharp and best - sharp >= _LEAST_GAIN
-        self.asked = self.useful and not self._photo and agreement < _HARDLY
+        hardly = agreement < _HARDLY and not self._photo
+        ratio, gain = _LEAST_IF_HARDLY if hardly else _LEAST
+        self.useful = best >= ratio * sharp and best - sharp >= gain
+        self.asked = self.useful and hardly
         self._seen = []
         if not self.useful or not (best >= _MUCH * sharp or agreement < _LITTLE):
             return None

@@ -12,7 +12,7 @@ import pytest
 from fide_plugins import FIDE, fit
 from fide_plugins.cli.fit_command import add_arguments
 from fide_plugins.comparison.auto import has_other_colors
-from fide_plugins.comparison.comparison import blurred
+from fide_plugins.comparison.blur import blurred
 from fide_plugins.comparison.light import fit_light
 from fide_plugins.comparison.mismatch import explanation
 from fide_plugins.errors import ImageError, OptionError
@@ -337,3 +337,14 @@ def test_command_line_takes_the_options() -> None:
     assert (args.photo, args.robust, args.photometric) == (True, "auto", "exposure")
     args = parser.parse_args(["a.png", "--renderer", "a.py:f", "--robust", "0.2"])
     assert (args.photo, args.robust, args.background) == (None, 0.2, None)
+
+
+@pytest.mark.parametrize(("blur", "found"), [(0.0, 0.0), (1.0, 1.0)])
+def test_renders_are_as_soft_as_a_camera_makes_the_target(blur: float, found: float) -> None:
+    target = blurred(render(TRUE), blur)
+    optimizer = fitted(target, 60, photo=True)
+    comparison = optimizer.evaluator.comparison
+    assert comparison is not None and comparison.camera == pytest.approx(found, abs=0.4)
+    one, other = losses(optimizer.evaluator, [render(TRUE), blurred(render(TRUE), 1.5)])
+    assert one < 1e-3 and one < other
+    assert optimizer.residual.mean() < 0.05
