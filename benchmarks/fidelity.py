@@ -34,8 +34,8 @@ SUITE = read_suite("image-fitting-v1")
 SCENE, SIZE, SAMPLES, LOSS = "san_miguel", 112, 4, "perceptual"
 SOLVED = SUITE.scenes[SCENE].solved
 SHARES = (0.25, 0.5, 1.0)  # of the time, at which the best candidate is judged
-WAYS: dict[str, Fidelity | bool] = {
-    "full": False,
+WAYS = {
+    "full": Fidelity(size=None, samples=(SAMPLES, SAMPLES)),
     "fidelity": Fidelity(size=(28, SIZE), samples=(1, SAMPLES)),
 }
 
@@ -95,6 +95,7 @@ def one_run(run: Row) -> Row:
     judge = losses.make(LOSS, whole.target)
     judged = [float(judge.compute(whole.reference(x)[None])[0]) for x in marks if x is not None]
     return {
+        **run,
         "renders": result.evaluations,
         "cost": round(result.cost, 1),
         "judged": [round(loss, 5) for loss in judged],

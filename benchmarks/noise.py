@@ -40,7 +40,7 @@ def row(name: str, size: int, spp: int, targets: int) -> tuple[float, float]:
         if x is None:
             raise SystemExit(f"the target of {name} has no known parameters")
         frames = task.render(np.tile(x, (FRAMES, 1))).astype(np.float64)
-        variances.append(frames.var(axis=0, ddof=1).mean())  # that of Task.noise_level, squared
+        variances.append(frames.var(axis=0, ddof=1).mean())
         squares.append(np.square(frames - task.target).mean())
     return float(np.sqrt(np.mean(variances))), float(np.mean(squares))
 

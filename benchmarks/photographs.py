@@ -36,6 +36,7 @@ BUDGETS = {"learned": 1000, "guess": 400, "plain": 400, "wall": 3000}
 NUMBERS = {"learned": 13, "guess": 13, "plain": 13, "wall": 10}  # photographs, or seeds
 MARKS = 150, 250, 400, 1000, 3000
 OFF, STD = 20.0, 0.03
+POSE = "rx", "ry", "rz", "cx", "cy", "dist", "f", "k1"
 SHOWN = 0, 1, 5, 7  # photographs of the picture
 RANGES = {name: at for name, at in foreign.BOARD.items() if name != "bg"}
 SPACE = Space(**{name: Float(*at, periodic=name == "rz") for name, at in RANGES.items()})
@@ -92,7 +93,20 @@ def run(arm: str, number: int, model: str | None) -> Row:
     )  # fmt: skip
     found = {name: round(value, 4) for name, value in result.params.items()}
     end = {"error": wrong(result.params), "status": result.status.code, "params": found}
-    return {"arm": arm, "number": number, "errors": errors, **end}
+    off = deviations(problem, space, result.best)
+    return {"arm": arm, "number": number, "errors": errors, **end, "deviations": off}
+
+
+def deviations(problem: foreign.Problem, space: Space, best: Any) -> dict[str, float]:
+    """Errors of pose, focal length and distortion, by OpenCV's calibration, over `best.std`."""
+    if best.std is None:
+        return {}
+    truth = PLAIN.decode(problem.truth)
+    off = space.encode({name: truth[name] for name in space.parameters}) - best.x
+    turn = list(space.parameters).index("rz")
+    off[turn] = (off[turn] + 0.25) % 0.5 - 0.25  # half a turn looks the same
+    names = zip(space.parameters, off / np.maximum(best.std, 1e-9), strict=True)
+    return {name: round(float(value), 2) for name, value in names if name in POSE}
 
 
 def run_wall(seed: int) -> Row:
@@ -137,6 +151,16 @@ def table(rows: list[Row]) -> str:
             cells.append(f"{found} of {len(there)}" if mark <= budget else "")
         ends = ", ".join(f"{row['error']:.1f}" for row in own)
         lines.append(f"| {arm} | {' | '.join(cells)} | {ends} |")
+    for arm in BUDGETS:
+        off = [
+            abs(value)
+            for row in rows
+            if row["arm"] == arm and row["error"] <= 2
+            for value in row.get("deviations", {}).values()
+        ]
+        if off:
+            shares = [f"{np.mean(np.less_equal(off, z)):.0%} within {z}" for z in (1, 1.96)]
+            lines.append(f"{arm}: of {len(off)} numbers {', '.join(shares)} standard deviations")
     return "\n".join(lines)
 
 

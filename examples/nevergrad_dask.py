@@ -1,7 +1,7 @@
 """Nevergrad's `minimize` with FIDE on a Dask cluster: workers render, this process searches.
 
 Two worker processes on this machine replace a cluster; use ``Client("tcp://scheduler:8786")`` for a
-real one.  Large images on a shared disk can be passed by name, ``ImageLoss(loss, ImageRef(path))``.
+real one.  Large images on a shared disk can be passed by name, ``ImageLoss(loss, path)``.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
         compare as compare,
         optimizers as optimizers,
         report as report,
-        run as harness,
+        run as harness,  # noqa: F401  in `__all__`
     )
 
     from . import encoders as encoders, errors as errors, losses as losses
@@ -74,32 +74,7 @@ _ATTRIBUTES = {
     "load_run": ".fitting.saved_run",
 }
 
-__all__ = [
-    "FIDE",
-    "Choice",
-    "Fidelity",
-    "Float",
-    "Group",
-    "Int",
-    "Result",
-    "Solution",
-    "Space",
-    "WeightsNotFoundError",
-    "__version__",
-    "baselines",
-    "checkpoint",
-    "compare",
-    "encoders",
-    "errors",
-    "fit",
-    "harness",
-    "images",
-    "learn",
-    "load_run",
-    "losses",
-    "optimizers",
-    "report",
-]
+__all__ = sorted({"__version__", *_SUBMODULES, *_LABORATORY, *_ATTRIBUTES} - {"FIDESampler"})
 
 
 if not TYPE_CHECKING:  # a type checker would take every name for one that exists

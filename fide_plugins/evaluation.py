@@ -14,7 +14,7 @@ import torch
 from fide_plugins import encoders
 from fide_plugins.comparison.comparison import Comparison, checked
 from fide_plugins.comparison.coverage import with_coverage, without_coverage
-from fide_plugins.encoders.base import PatchEncoder
+from fide_plugins.encoders.base import PatchEncoder, as_features
 from fide_plugins.encoders.own import OwnEncoder
 from fide_plugins.errors import CheckpointError, FeaturesError, LossError
 from fide_plugins.losses.base import as_losses
@@ -23,10 +23,8 @@ from fide_plugins.runtime.devices import resolve_device
 from fide_plugins.runtime.schema import anything, check
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.pixels import Clipping, OnClip
-from fide_plugins.validation.tensors import as_features
 from fide_plugins.views import Views
-from fide_plugins.views.encoder import encoder_of
-from fide_plugins.views.loss import loss_of
+from fide_plugins.views.compared import encoder_of, loss_of
 
 Result: TypeAlias = tuple[Float64, float, Float32 | None, torch.Tensor | None, float]
 """x (d,), loss, image (H, W, 3), tokens (T, C) of one candidate, and what the search is told."""
@@ -58,15 +56,6 @@ class Evaluation:
         return zip(points[first:], *each, strict=True)
 
 
-def _made(encoder: str | Callable[..., object], device: str, for_network: bool) -> PatchEncoder:
-    if isinstance(encoder, PatchEncoder):
-        return encoder
-    if isinstance(encoder, str):
-        for_network = for_network or encoders.uses_network(encoder)
-        return encoders.make(encoder, device=resolve_device(device, for_network=for_network))
-    return OwnEncoder(encoder, device=resolve_device(device, for_network=for_network))
-
-
 class Evaluator:
     """Loss and encoder for one target.
 
@@ -78,6 +67,10 @@ class Evaluator:
         `fide_plugins.encoders`.  A callable is tried on the target first.
     device: of both where they are given by name; "auto" takes CUDA where there is some, for an
         encoder only if it is a network, or if `for_network`.
+    photometric, robust, background, photo: see `options.Options`.
+
+    adapts_light: whether the images say which light is set aside.
+    comparison: how renders are compared that did not make the target; None: as they are.
 
     Raises ImageError, OptionError, UnknownNameError, DeviceError, or what the encoder raises.
     """
@@ -107,14 +100,18 @@ class Evaluator:
         self._small: Views | None = None
         self.target = self.views.target  # (H, W, 3), packed if there are several views
         self.loss = loss_of(self.views, loss, device=device)
-        self.encoder = encoder_of(self.views, _made(encoder, device, for_network))
+        if isinstance(encoder, str):
+            for_network = for_network or encoders.uses_network(encoder)
+            where = resolve_device(device, for_network=for_network)
+            encoder = encoders.make(encoder, device=where)
+        elif not isinstance(encoder, PatchEncoder):
+            encoder = OwnEncoder(encoder, device=resolve_device(device, for_network=for_network))
+        self.encoder = encoder_of(self.views, encoder)
         self._how: dict[str, Any] = {}
         self.adapts_light = getattr(self.loss, "of_places", True) and (
             photometric == "auto" or (photo and photometric is None)
         )
-        """Whether the images say which light is set aside."""
         self.comparison: Comparison | None = None
-        """How renders are compared with a target that the renderer did not draw; None: as is."""
         if photo or not (photometric is None and robust is None and background is None):
             self._how = {
                 "light": "none" if photometric in (None, "auto") else photometric,
@@ -232,12 +229,6 @@ class Evaluator:
         return self.loss.spec
 
     @property
-    def features_shape(self) -> tuple[int, int]:
-        """(T, C) of the features of an image."""
-        tokens, channels = self.target_tokens.shape
-        return tokens, channels
-
-    @property
     def versions(self) -> dict[str, str | None]:
         """Of encoder and loss: they change whenever features or losses of an image do."""
         encoder, loss = self.encoder.version, self.loss.version
@@ -321,7 +312,7 @@ class Evaluator:
         if encode and shown is not None:
             tokens = self.encoder.compute(shown)
         if features is not None:
-            shape = (n, *self.features_shape)
+            shape = (n, *self.target_tokens.shape)
             taken = as_features(features, shape, self.encoder, version=version)
             tokens = taken if encode else None
         assert values is not None

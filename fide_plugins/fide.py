@@ -7,7 +7,7 @@ generations and moves after a search (`State.finish_search`) are beyond Algorith
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -17,9 +17,9 @@ from fide_plugins import encoders
 from fide_plugins.comparison.scale_space import ScaleSpace
 from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.evaluation import Evaluation, Evaluator
-from fide_plugins.options import Options, flat, make_options
+from fide_plugins.options import Options, make_options
 from fide_plugins.population import CandidateRole, Population
-from fide_plugins.population.candidate import TrainingSample, columns, in_order
+from fide_plugins.population.candidate import Memory, TrainingSample, columns, in_order
 from fide_plugins.proposers import channel_subsets, make_proposer, make_steps
 from fide_plugins.proposers.image_gate import ImageGate
 from fide_plugins.runtime.machine import timed
@@ -28,7 +28,6 @@ from fide_plugins.runtime.schema import array, check, each, maybe, whole
 from fide_plugins.runtime.threads import Lock, one_at_a_time, one_thread
 from fide_plugins.saving import Saved
 from fide_plugins.search.cma_es import default_popsize
-from fide_plugins.search.memory import Memory
 from fide_plugins.search.moves import Stage
 from fide_plugins.search.one_search import Search, Setting
 from fide_plugins.search.policy import MovePolicy
@@ -46,8 +45,8 @@ from fide_plugins.validation.points import (
     whole_number,
 )
 from fide_plugins.views import Views
-from fide_plugins.views.grain import Grain
-from fide_plugins.views.loss import loss_of
+from fide_plugins.views.compared import loss_of
+from fide_plugins.views.pixel_noise import PixelNoise
 from fide_plugins.views.same_images import SameImages
 
 if TYPE_CHECKING:
@@ -61,7 +60,6 @@ __all__ = ["FIDE", "Decision"]
 _ARGUMENTS = ("dim", "weights", "value_range", "x0", "sigma0", "seed")
 _ROUGHLY = 0.1  # standard deviation of a guess from which descents begin, at most
 _COARSEST = 16  # pixels: smaller pictures are not blurred
-_STALLED = 20  # generations without improvement; or a quarter of all evaluations, if that is more
 
 Decision: TypeAlias = tuple[bool | None, bool | None]
 """Whether a search is over, and whether images say where the next begins, as others have decided.
@@ -153,16 +151,13 @@ class FIDE(Saved):
         self.options = o = make_options(preset, {**named, **options})
         self.x0 = starting_point(x0, self.dim, self.space)
         self.guess = None if x0 is None else self.x0
-        self.sigma0 = standard_deviations(sigma0, self.dim)
-        self.seed = new_seed(seed)
+        self.sigma0, self.seed = standard_deviations(sigma0, self.dim), new_seed(seed)
         self.popsize = o.popsize or default_popsize(self.dim)
         self.validity: Validity | None = None
         if constraints is not None or (self.space is not None and self.space.constraints):
             from fide_plugins.search.validity import validity_of
 
-            self.validity = validity_of(self.space, constraints, self.seed)
-            if self.validity is not None and self.guess is not None:
-                self.validity.check_guess(self.guess)
+            self.validity = validity_of(self.space, constraints, self.seed, self.guess)
         self.has_own_constraints = constraints is not None
         self.evaluator = Evaluator(
             target,
@@ -175,12 +170,9 @@ class FIDE(Saved):
             for_network=o.has_network,
             **o.comparison,
         )
-        self.same_images = SameImages(self.popsize)
-        self._lock = Lock()
-        self._model: Model | None = None  # of the renderer, for the next picture, too; never saved
-        posterior = None
-        if learned is not None:
-            self._model, posterior = self._model_of(learned, self.views.targets)
+        self.same_images, self._lock = SameImages(self.popsize), Lock()
+        model, posterior = self._model_of(learned, self.views.targets)
+        self._model = model  # of the renderer, for the next picture, too; never saved
         self.state = self._initial_state(posterior)
 
     # -- line 1: mu and Sigma; line 2: the denoiser ------------------------------------------------
@@ -188,7 +180,8 @@ class FIDE(Saved):
     def _initial_state(self, posterior: Posterior | None = None) -> State:
         """Lines 1 and 2; posterior: of a learned model, where the search begins."""
         o, k, learned = self.options, self.popsize, posterior is not None
-        subsets = channel_subsets(o, self.encoder)
+        views, encoder = self.evaluator.views, self.evaluator.encoder
+        subsets = channel_subsets(o, encoder)
         layout = None if self.space is None else self.space.layout
         setting = Setting(k, np.broadcast_to(self.sigma0, self.dim), o, layout, self.validity)
         groups: Sequence[Sequence[int]] | None = o.groups
@@ -197,15 +190,15 @@ class FIDE(Saved):
         follows = o.proposer in ("both", "linear") and o.restarts == "moves"
         guessed = self.guess is not None and bool(np.max(self.sigma0) <= _ROUGHLY)
         moves = MovePolicy(
-            self.x0, setting.sigma0, popsize=k, target=self.target_tokens, channels=subsets[0],
-            seed=self.seed, groups=groups, layout=layout, posterior=posterior,
+            self.x0, setting.sigma0, popsize=k, target=self.evaluator.target_tokens,
+            channels=subsets[0], seed=self.seed, groups=groups, layout=layout, posterior=posterior,
             descends=o.photo and follows and (learned or guessed),
         )  # fmt: skip
         moves.start = setting.valid_start(moves.start, 1)
-        side = min(min(view.size) for view in self.views.views)
+        side = min(min(view.size) for view in views.views)
         may_blur = follows and o.coarse_to_fine is not False and self.loss_name is not None
         scales = ScaleSpace(
-            self.views,
+            views,
             possible=may_blur and side >= _COARSEST and not (learned or moves.descends),
             at_once=bool(o.coarse_to_fine),
             photo=o.photo,
@@ -221,10 +214,10 @@ class FIDE(Saved):
             search=Search(moves.start, moves.goal, setting),
             moves=moves,
             gate=ImageGate(o, subsets, known=learned),
-            proposer=make_proposer(o, self.dim, k, self.seed, self.encoder, learned=learned),
-            steps=make_steps(o, self.dim, k, self.encoder, learned=learned),
+            proposer=make_proposer(o, self.dim, k, self.seed, encoder, learned=learned),
+            steps=make_steps(o, self.dim, k, encoder, learned=learned),
             memory=Memory(o.memory_mb),
-            grain=Grain(self.views),
+            pixel_noise=PixelNoise(views),
             scales=scales,
             kept=self._nothing_kept(),
         )
@@ -254,7 +247,6 @@ class FIDE(Saved):
         with timed(self.times, "search"):
             steps = np.empty((0, self.dim))
             if n is not None:
-                population.expect(n)
                 steps = self._make_steps(n)
             elif not population.remaining:
                 self.draw_generation()
@@ -279,7 +271,6 @@ class FIDE(Saved):
         population = self.state.population
         if not population.remaining:
             self.draw_generation()
-        population.expect(n)
         if n > population.queued:
             self._train_early()
         self._make_next(n)  # which may fail, before anything is handed out
@@ -579,7 +570,7 @@ class FIDE(Saved):
         if best is None:
             return None
         image = self.views.restored(self.views.unpacked(best.solution.image))
-        seen = self._best_image
+        seen = self.best_image
         light = None
         if self.state.kept is not None and seen is not None:
             light = self.evaluator.light_of(seen)
@@ -588,7 +579,7 @@ class FIDE(Saved):
         return replace(found, photometric=light).copy()
 
     @property
-    def _best_image(self) -> Any:
+    def best_image(self) -> Any:
         """Image (H, W, C) of the best point, with its coverage where that is known, or None."""
         best, kept = self.state.best, self.state.kept
         if best is None or best.solution.image is None:
@@ -612,7 +603,7 @@ class FIDE(Saved):
         Absolute difference of target and best image, in the light of the target where that is
         adjusted: mean of the channels, 0 where a mask has zeros or the image covers nothing.
         """
-        image = self._best_image
+        image = self.best_image
         if image is None:
             return None
         left = self.evaluator.residual(image)
@@ -622,35 +613,11 @@ class FIDE(Saved):
     @one_at_a_time
     def status(self) -> Status:
         """What is known of the run so far: a code, and a sentence (see `fide_plugins.status`)."""
-        state, best = self.state, self.state.best
-        since = state.evaluations - state.retargeted_at
-        known = state.moves.known
-        others, apart = known.optima.others(known.exchangeability.distance)
-        from fide_plugins.status import Facts, status_of
+        from fide_plugins.status import status_now
         from fide_plugins.views.solved import is_solved
 
-        image = None if best is None else best.solution.image
-        facts = Facts(
-            evaluations=state.evaluations,
-            best=None if best is None else best.solution.loss,
-            improved_at=state.improved_at,
-            horizon=max(_STALLED * state.search.popsize, since // 4),
-            ended=[optimum.searches for optimum in known.optima.all],
-            forgotten=known.optima.forgotten,
-            others=others,
-            apart=apart,
-            solved=image is not None and is_solved(self.views, image),
-            grain=None if image is None else state.grain.left(image, self.views.target),
-            same=self.same_images.number,
-            clipped=state.clipping.images,
-            low=state.clipping.low,
-            high=state.clipping.high,
-        )
-        status, seen = status_of(facts), self._best_image
-        if status.code in ("stalled", "unsure", "agreed") and not facts.same and seen is not None:
-            why = self.evaluator.mismatch(seen, agreed=status.code == "agreed")
-            return status_of(replace(facts, mismatch=why))
-        return status
+        image = None if self.state.best is None else self.state.best.solution.image
+        return status_now(self, solved=image is not None and is_solved(self.views, image))
 
     @one_at_a_time
     def solutions(self, k: int = 5) -> list[Solution]:
@@ -715,7 +682,7 @@ class FIDE(Saved):
     @property
     def _seen_target(self) -> Tensor:
         """Tokens (T, C) of the target as the present search sees it."""
-        return self.evaluator.tokens_at(self.state.blur)
+        return self.evaluator.tokens_at(self.state.scales.blur)
 
     @property
     def views(self) -> Views:
@@ -740,12 +707,15 @@ class FIDE(Saved):
     @property
     def features_shape(self) -> tuple[int, int]:
         """(T, C) of the features of an image, see `tell`."""
-        return self.evaluator.features_shape
+        tokens, channels = self.target_tokens.shape
+        return tokens, channels
 
     # -- where searches begin, and the next picture ------------------------------------------------
 
     def _model_of(self, learned: Any, target: Any) -> tuple[Model | None, Posterior | None]:
         """A learned model, or that of a file, and what it says of a target."""
+        if learned is None:
+            return None, None
         from fide_plugins.learning.hypotheses import as_model, posterior_of
 
         model = as_model(learned)
@@ -809,10 +779,8 @@ class FIDE(Saved):
         CheckpointError for a file that is no model, before anything changes.
         """
         evaluator = self.evaluator.retargeted(picture, loss)
-        learned, posterior = self._model if learned is None else learned, None
-        model: Model | None = None
-        if learned is not None:
-            model, posterior = self._model_of(learned, evaluator.views.targets)
+        learned = self._model if learned is None else learned
+        model, posterior = self._model_of(learned, evaluator.views.targets)
         state = self.state
         with timed(self.times, "search"):
             recalled = state.recall(evaluator.target_tokens, self.guess, self.popsize)
@@ -851,7 +819,7 @@ class FIDE(Saved):
         given |= {"target": self.evaluator.full.targets, "x0": self.guess}
         space = None if self.space is None else self.space.to_dict()
         own = {"popsize": self.popsize, "space": space, "constraints": self.has_own_constraints}
-        return given | flat(self.options) | own
+        return given | asdict(self.options) | own
 
     @classmethod
     def arguments(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -912,7 +880,7 @@ class FIDE(Saved):
         """Raise ValueError unless all settings are there, and can be those of an optimizer."""
         super().check_settings(settings)
         own = {"target", "popsize", "space", "constraints"}
-        expected = {*_ARGUMENTS, *own, *flat(Options())}
+        expected = {*_ARGUMENTS, *own, *asdict(Options())}
         odd = sorted(set(settings) ^ expected)
         if odd:
             raise ValueError(f"settings lack or have too much: {', '.join(map(repr, odd))}")

@@ -1,12 +1,12 @@
-"""Options of FIDE, each by its own name, whichever group it is in; and the presets.
+"""Options of FIDE, and the presets.
 
 `paper` is the published method, literally; `lab/reports/speed.md` measures what the others bring.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import Field, asdict, dataclass, field, fields, is_dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from difflib import get_close_matches
 from typing import Any, TypeAlias
 
@@ -21,42 +21,6 @@ PAPER_SCHEDULE = (0.3, 0.2, 0.1)
 
 def _option(default: Any, rule: Rule) -> Any:
     return field(default=default, metadata={"rule": rule})
-
-
-@dataclass(frozen=True, slots=True)
-class ProposalOptions:
-    """The linear proposer, and how many candidates are proposed.
-
-    proposal_fraction: of a generation that is proposed at first.
-    fraction_rate: speed of its adaptation, see `proposers.image_gate`; 0 keeps it as it is.
-    channel_subsets: sets of leading channels of the tokens, such as (3, 16); empty: the encoder's
-        own.  Moves compare images in the first of them.
-    buffer_generations: generations that the linear proposer remembers; None: 4, but 8 of few
-        parameters (d <= k); 3 in preset "fast"; of many (d > 4 k) at least 3 d / 2 candidates;
-        600 candidates at most.
-    screening: predict a parameter from the tokens that show it, where that is better, see
-        `proposers.screening`; None: where the search begins at hypotheses of a learned model.
-        Without effect of at most k parameters, or of very many or many channels.
-    """
-
-    proposal_fraction: float = _option(0.3, rules.fraction)
-    fraction_rate: float = _option(0.1, rules.fraction)
-    channel_subsets: tuple[int, ...] = _option((), rules.whole_numbers)
-    buffer_generations: int | None = _option(None, rules.whole(1))
-    screening: bool | None = _option(None, rules.switch)
-
-
-@dataclass(frozen=True, slots=True)
-class NetworkOptions:
-    """The published denoiser.  These options are refused where the proposer is no network.
-
-    epochs, learning_rate, batch_size, schedule: see `proposers.diffusion`; at most 10,000 epochs.
-    """
-
-    epochs: int = _option(20, rules.whole(1, 10_000, "4 to 20 are published"))
-    learning_rate: float = _option(1e-3, rules.positive)
-    batch_size: int = _option(50, rules.whole(1))
-    schedule: tuple[float, ...] = _option(PAPER_SCHEDULE, rules.schedule)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +45,7 @@ class Options:
     coarse_to_fine: begin searches with blurred images, see `comparison.scale_space`; None: where
         the first candidates say that it helps, or with photo; True: from the first candidate on.
     memory_mb: MiB of tokens that are kept for `FIDE.retarget` and for `Solution.std`, see
-        `search.memory`; 0 for none: then no std is known.
+        `population.candidate.Memory`; 0 for none: then no std is known.
     photometric: light that is set aside before images are compared, for each render: "exposure"
         (gain, offset and curve of each channel), "shading" (a smooth field of gains, too), "auto"
         (as far as the images say that the light differs), or None; see `fide_plugins.comparison`.
@@ -91,6 +55,18 @@ class Options:
         are explained by the target's colors; None: they are white.
     photo: for targets that the renderer did not draw: photometric="auto", robust="auto", and
         background="free" where renders have a coverage, unless these are given.
+    proposal_fraction: of a generation that is proposed at first.
+    fraction_rate: speed of its adaptation, see `proposers.image_gate`; 0 keeps it as it is.
+    channel_subsets: sets of leading channels of the tokens, such as (3, 16); empty: the encoder's
+        own.  Moves compare images in the first of them.
+    buffer_generations: generations that the linear proposer remembers; None: 4, but 8 of few
+        parameters (d <= k); 3 in preset "fast"; of many (d > 4 k) at least 3 d / 2 candidates;
+        600 candidates at most.
+    screening: predict a parameter from the tokens that show it, where that is better, see
+        `proposers.screening`; None: where the search begins at hypotheses of a learned model.
+        Without effect of at most k parameters, or of very many or many channels.
+    epochs, learning_rate, batch_size, schedule: of the published denoiser, see
+        `proposers.diffusion`; refused where the proposer is no network.
     """
 
     encoder: str = _option("dense", rules.text("a name in fide_plugins.encoders"))
@@ -108,8 +84,15 @@ class Options:
     robust: float | str | None = _option(None, rules.fraction_or("auto"))
     background: str | None = _option(None, rules.one_of("free"))
     photo: bool = _option(False, rules.switch)
-    proposal: ProposalOptions = ProposalOptions()
-    network: NetworkOptions = NetworkOptions()
+    proposal_fraction: float = _option(0.3, rules.fraction)
+    fraction_rate: float = _option(0.1, rules.fraction)
+    channel_subsets: tuple[int, ...] = _option((), rules.whole_numbers)
+    buffer_generations: int | None = _option(None, rules.whole(1))
+    screening: bool | None = _option(None, rules.switch)
+    epochs: int = _option(20, rules.whole(1, 10_000, "4 to 20 are published"))
+    learning_rate: float = _option(1e-3, rules.positive)
+    batch_size: int = _option(50, rules.whole(1))
+    schedule: tuple[float, ...] = _option(PAPER_SCHEDULE, rules.schedule)
 
     @property
     def comparison(self) -> dict[str, Any]:
@@ -125,9 +108,7 @@ class Options:
 
 PRESETS: Mapping[str, Options] = {
     "fast": Options(
-        proposer="linear",
-        coarse_to_fine=False,
-        proposal=ProposalOptions(channel_subsets=(3,), buffer_generations=3),
+        proposer="linear", coarse_to_fine=False, channel_subsets=(3,), buffer_generations=3
     ),
     "balanced": Options(),
     "accurate": Options(patience=25),
@@ -139,13 +120,14 @@ PRESETS: Mapping[str, Options] = {
         guard_images=False,
         guard_search=False,
         coarse_to_fine=False,
-        proposal=ProposalOptions(proposal_fraction=0.5, fraction_rate=0.0),
+        proposal_fraction=0.5,
+        fraction_rate=0.0,
     ),
 }
 
-_GROUPS = ("proposal", "network")
+_NETWORK = ("epochs", "learning_rate", "batch_size", "schedule")
 _FIRST = ("loss", "encoder", "preset", "popsize", "x0", "sigma0", "mask", "seed", "device")
-_OTHER_ARGUMENTS = ("dim", "target", "weights", "value_range", "learned", "constraints")
+_ARGUMENTS = (*_FIRST, "dim", "target", "weights", "value_range", "learned", "constraints")
 
 
 def make_options(preset: str, changes: Mapping[str, Any]) -> Options:
@@ -156,35 +138,30 @@ def make_options(preset: str, changes: Mapping[str, Any]) -> Options:
     """
     if not isinstance(preset, str) or preset not in PRESETS:
         raise UnknownNameError.of("preset", preset, PRESETS)
-    known = dict(_all_fields())
-    for name in changes:
+    known = {each.name: each for each in fields(Options)}
+    changed: dict[str, Any] = {}
+    for name, value in changes.items():
         if name not in known:
             raise OptionError(_unknown(name))
-    made: Options = _changed(PRESETS[preset], changes)
-    for group in _GROUPS:
-        made = replace(made, **{group: _changed(getattr(made, group), changes)})
-    _check_together(made, PRESETS[preset])
+        if value is not None:
+            changed[name] = known[name].metadata["rule"](name, value)
+        elif known[name].default is None and name != "popsize":
+            changed[name] = None
+    made = replace(PRESETS[preset], **changed)
+    for name in () if made.has_network else _NETWORK:
+        if getattr(made, name) != getattr(PRESETS[preset], name):
+            raise OptionError(
+                f"{name}={getattr(made, name)!r} is of the network, and the proposer "
+                f"{made.proposer!r} has none: leave it out, or take preset='paper' or "
+                "proposer='diffusion'"
+            )
     return made
 
 
 def without_images(changes: Mapping[str, Any]) -> dict[str, Any]:
     """Options by name for a search that sees no image: CMA-ES, without those of a network."""
-    network = {f.name for f in fields(NetworkOptions)}
-    kept = {name: value for name, value in changes.items() if name not in network}
+    kept = {name: value for name, value in changes.items() if name not in _NETWORK}
     return kept | {"proposer": "none", "encoder": "dense"}
-
-
-def flat(options: Options) -> dict[str, Any]:
-    """All options by name, those of groups too, as `make_options` takes them."""
-    nested = asdict(options)
-    for group in _GROUPS:
-        nested |= nested.pop(group)
-    return nested
-
-
-def _all_fields() -> Iterator[tuple[str, Field[Any]]]:
-    for group in (Options, ProposalOptions, NetworkOptions):
-        yield from ((f.name, f) for f in fields(group) if f.name not in _GROUPS)
 
 
 def check_known(options: Mapping[str, Any], of: str, own: Sequence[str]) -> None:
@@ -192,7 +169,7 @@ def check_known(options: Mapping[str, Any], of: str, own: Sequence[str]) -> None
 
     of: who takes these options, and hands them on; own: its own, which are known, too.
     """
-    known = {*_FIRST, *_OTHER_ARGUMENTS, *own, *dict(_all_fields())}
+    known = {*_ARGUMENTS, *own, *(each.name for each in fields(Options))}
     for name in options:
         if name not in known:
             raise OptionError(_unknown(name, of, own))
@@ -200,36 +177,10 @@ def check_known(options: Mapping[str, Any], of: str, own: Sequence[str]) -> None
 
 def _unknown(name: str, of: str = "FIDE", own: Sequence[str] = ()) -> str:
     """Error for a name that is no option; arguments as of `check_known`."""
-    if name in (*_FIRST, *_OTHER_ARGUMENTS):
+    if name in _ARGUMENTS:
         return f"{name} is an argument of FIDE itself, not one of the options that are taken here"
-    others = [known for known, _ in _all_fields() if known not in (*own, *_FIRST)]
-    close = get_close_matches(name, [*own, *_FIRST, *_OTHER_ARGUMENTS, *others], n=1)
+    others = [each.name for each in fields(Options) if each.name not in (*own, *_FIRST)]
+    close = get_close_matches(name, [*own, *_ARGUMENTS, *others], n=1)
     hint = f" (did you mean {close[0]!r}?)" if close else ""
     known = ", ".join(dict.fromkeys([*own, *_FIRST, *others]))
     return f"{of} has no option {name!r}{hint}; known are {known}"
-
-
-def _changed(options: Any, changes: Mapping[str, Any]) -> Any:
-    """The dataclass `options` with those changes that are fields of it, checked."""
-    assert is_dataclass(options)
-    changed = {}
-    for known in fields(options):
-        if known.name in _GROUPS or known.name not in changes:
-            continue
-        value = changes[known.name]
-        if value is not None:
-            changed[known.name] = known.metadata["rule"](known.name, value)
-        elif known.default is None and known.name != "popsize":
-            changed[known.name] = None
-    return replace(options, **changed)  # type: ignore[type-var]
-
-
-def _check_together(options: Options, preset: Options) -> None:
-    """Raise OptionError for options that contradict each other."""
-    if not options.has_network:
-        own, usual = asdict(options.network), asdict(preset.network)
-        for name in (name for name in own if own[name] != usual[name]):
-            raise OptionError(
-                f"{name}={own[name]!r} is of the network, and the proposer {options.proposer!r} "
-                "has none: leave it out, or take preset='paper' or proposer='diffusion'"
-            )

@@ -6,10 +6,15 @@ No black box tells that an optimum is global, and no sentence claims it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
-__all__ = ["Facts", "Status", "status_of"]
+if TYPE_CHECKING:
+    from fide_plugins.fide import FIDE
 
+__all__ = ["Facts", "Status", "status_now", "status_of"]
+
+_STALLED = 20  # generations without improvement; or a quarter of all evaluations, if that is more
 _NEARLY_ALL = 0.9  # of the images
 _NEXT = "fit again with another seed and compare the losses, or give more renders"
 
@@ -45,7 +50,7 @@ class Facts:
         that had begun elsewhere.  forgotten: in places that are no longer remembered.
     others: lowest loss of the other places, if any; apart: how far these are from the best place,
         in the parameter that differs most, as a fraction of its range.
-    grain: standard deviation of a pixel, if what is left is independent noise of pixels alone.
+    noise: standard deviation of a pixel, if what is left is independent noise of pixels alone.
     solved: whether the image equals the target but for what no eye sees (`views.solved`).
     same: how many candidates have had the same image, if all have; else 0 (`views.same_images`).
     mismatch: what explains most of what is left, in words, where the renderer cannot draw it.
@@ -60,13 +65,43 @@ class Facts:
     forgotten: int = 0
     others: float | None = None
     apart: float = 0.0
-    grain: float | None = None
+    noise: float | None = None
     solved: bool = False
     same: int = 0
     mismatch: str | None = None
     clipped: int = 0
     low: float = 0.0
     high: float = 1.0
+
+
+def status_now(optimizer: FIDE, *, solved: bool) -> Status:
+    """State of the run of an optimizer; solved: as of `Facts`."""
+    state, best = optimizer.state, optimizer.state.best
+    since = state.evaluations - state.retargeted_at
+    known = state.moves.known
+    others, apart = known.optima.others(known.exchangeability.distance)
+    image = None if best is None else best.solution.image
+    facts = Facts(
+        evaluations=state.evaluations,
+        best=None if best is None else best.solution.loss,
+        improved_at=state.improved_at,
+        horizon=max(_STALLED * state.search.popsize, since // 4),
+        ended=[optimum.searches for optimum in known.optima.all],
+        forgotten=known.optima.forgotten,
+        others=others,
+        apart=apart,
+        solved=solved,
+        noise=None if image is None else state.pixel_noise.left(image, optimizer.views.target),
+        same=optimizer.same_images.number,
+        clipped=state.clipping.images,
+        low=state.clipping.low,
+        high=state.clipping.high,
+    )
+    status, seen = status_of(facts), optimizer.best_image
+    if status.code in ("stalled", "unsure", "agreed") and not facts.same and seen is not None:
+        why = optimizer.evaluator.mismatch(seen, agreed=status.code == "agreed")
+        return status_of(replace(facts, mismatch=why))
+    return status
 
 
 def status_of(facts: Facts) -> Status:
@@ -76,12 +111,12 @@ def status_of(facts: Facts) -> Status:
         return Status("waiting", "No candidate with a finite loss has been told yet.")
     if facts.solved:
         return Status("solved", f"Solved: the image equals the target to the eye, loss {best:.3g}.")
-    if facts.grain is not None:
+    if facts.noise is not None:
         return Status(
             "noise",
             f"At the noise floor: loss {best:.3g}. The image differs from the target by "
             "independent noise of single pixels only (standard deviation of a pixel "
-            f"{facts.grain:.2g}), as far as this noise lets one see: things of a few pixels that "
+            f"{facts.noise:.2g}), as far as this noise lets one see: things of a few pixels that "
             "are about as faint, and larger, fainter ones may be missing. More samples per pixel, "
             "or a target with less noise, would tell more.",
         )

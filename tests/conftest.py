@@ -57,14 +57,6 @@ State: TypeAlias = dict[str, Tensor]
 
 # Shapes of the convolutions as torchvision names them: number in `features`: (out, in, side).
 ALEXNET = {0: (64, 3, 11), 3: (192, 64, 5), 6: (384, 192, 3), 8: (256, 384, 3), 10: (256, 256, 3)}
-VGG16 = dict(
-    zip(
-        (0, 2, 5, 7, 10, 12, 14, 17, 19, 21, 24, 26, 28),
-        [(64, 3, 3), (64, 64, 3), (128, 64, 3), (128, 128, 3), (256, 128, 3)]
-        + [(256, 256, 3)] * 2 + [(512, 256, 3)] + [(512, 512, 3)] * 5,
-        strict=True,
-    )
-)  # fmt: skip
 VGG19 = dict(
     zip(
         (0, 2, 5, 7, 10, 12, 14, 16, 19, 21, 23, 25, 28, 30, 32, 34),
@@ -73,10 +65,7 @@ VGG19 = dict(
         strict=True,
     )
 )  # fmt: skip
-CHANNELS = {
-    "alex": (64, 192, 384, 256, 256),
-    "vgg": (64, 128, 256, 512, 512),
-}
+LPIPS = (64, 192, 384, 256, 256)  # channels
 
 
 SIDE = 16  # pixels of the small renderer's images
@@ -303,12 +292,12 @@ def random_network(shapes: Mapping[Any, tuple[int, int, int]], seed: int) -> Sta
     return state
 
 
-def random_heads(net: str, seed: int = 9) -> State:
+def random_heads() -> State:
     """Weights >= 0 of the layers' channels, as LPIPS has them."""
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch.Generator().manual_seed(9)
     return {
         f"lin{i}.model.1.weight": torch.rand(1, c, 1, 1, generator=generator)
-        for i, c in enumerate(CHANNELS[net])
+        for i, c in enumerate(LPIPS)
     }
 
 
@@ -319,10 +308,8 @@ def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
     checkpoints = home / "checkpoints"
     checkpoints.mkdir()
     torch.save(random_network(ALEXNET, 1), checkpoints / "alexnet-owt-7be5be79.pth")
-    torch.save(random_network(VGG16, 2), checkpoints / "vgg16-397923af.pth")
     torch.save(random_network(VGG19, 3), checkpoints / "vgg19-dcbb9e9d.pth")
-    for net in CHANNELS:
-        torch.save(random_heads(net), checkpoints / f"lpips-v0.1-{net}.pth")
+    torch.save(random_heads(), checkpoints / "lpips-v0.1-alex.pth")
     return home
 
 

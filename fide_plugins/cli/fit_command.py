@@ -8,8 +8,9 @@
 --renderer is FILE.py:NAME (or module:NAME), a function of a dictionary of parameters that returns
 an image, or a list of images for several targets. The parameters are `space = Space(...)` in that
 file, or --space. --command runs a program for each image, without a shell: {out} is the name of the
-image that it writes, {NAME} a parameter, {NAME:.3f} the same in a format. For several targets, give
---command several times.
+image that it writes, {NAME} a parameter, {NAME:.3f} the same in a format; with {width}, {height}
+and {samples} a fit begins with small pictures of few samples, and {seed} is another one for each
+image. For several targets, give --command several times.
 
 Several targets are views of one scene: give --mask once for each, too, or once for all if they have
 one size. --live opens a page in the browser that shows how far the fit is; `fide watch DIR` does so
@@ -49,7 +50,6 @@ from fide_plugins.cli.terminal import (
     as_typed,
     complain,
     continuation,
-    duration,
     note,
     number,
     paragraph,
@@ -59,6 +59,7 @@ from fide_plugins.cli.terminal import (
 )
 from fide_plugins.errors import DependencyError, FideError, ImageError, OptionError, RenderError
 from fide_plugins.runtime import laboratory
+from fide_plugins.runtime.messages import duration
 from fide_plugins.validation.options import positive_fraction
 
 if TYPE_CHECKING:
@@ -76,7 +77,7 @@ _OF_MODELS = ("cells", "control_points", "model_set", "optimizer", "start")
 """Arguments that no renderer of a user has."""
 _OF_RENDERERS = (
     "space", "workers", "timeout", "mask", "weights", "time", "stop_at", "until",
-    "encoder", "learned", "max_failures", "value_range", *_COMPARISON,
+    "encoder", "learned", "max_failures", "value_range", "samples", *_COMPARISON,
 )  # fmt: skip
 """Arguments that no model has."""
 _BUDGET = 2000
@@ -118,6 +119,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--until", choices=("solved", "stalled", "budget"),
         help="stop also when solved, or when nothing more is to be expected; budget: by other "
         "limits alone (solved)")  # fmt: skip
+    add("--samples", type=whole(1), metavar="N",
+        help="most samples of a pixel, if it takes samples (its default, or 64)")  # fmt: skip
     add("--max-failures", type=float, metavar="SHARE", help="of the last 50 renders (1: any)")
     add("--encoder", metavar="NAME", help="see: fide list encoders (the preset's)")
     add("--learned", metavar="MODEL", help="model of: fide learn")
@@ -229,16 +232,17 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
     from fide_plugins.fitting.stopping import Stopping
     from fide_plugins.fitting.workers import default_number
     from fide_plugins.recording.storage import read_run
-    from fide_plugins.watch import LiveFile
 
     render, space, timeout = _renderer(args)
     values = value_range_of(args.value_range)
-    targets, mask, weights = pictures(
+    targets, weights = pictures(
         args.targets, args.size, args.mask, args.weights, raw=values is not None
     )
     options = {"loss": args.loss, **optimizer_options(args)}
     given = {name: getattr(args, name) for name in ("encoder", "learned", *_COMPARISON)}
-    given |= {"mask": mask, "weights": weights, "value_range": values}
+    given["value_range"] = values
+    if any(one is not None for one in weights):
+        given["weights"] = weights[0] if len(weights) == 1 else weights
     options |= {name: value for name, value in given.items() if value is not None}
     until, share = args.until or "solved", args.max_failures
     endless = args.budget is None and (args.time is not None or until == "stalled")
@@ -246,11 +250,12 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
     workers = default_number() if args.workers is None else args.workers
     out = free_directory(args, Path(args.targets[0]).stem)
 
-    renders = Renders(render, workers, timeout)
+    renders = Renders(render, workers, timeout, args.samples)
+    share = 1.0 if share is None else positive_fraction("max_failures", share)
 
     def check(optimizer: FIDE) -> None:
         if read_run(out) is None:
-            renders.check_first(optimizer, targets, args.targets)
+            renders.check_first(optimizer)
 
     fitting = prepare(
         render,
@@ -264,10 +269,10 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
         out=out,
         resume=args.resume,
         command=command,
-        callbacks=[LiveFile()] if args.live else [],  # `fide watch` reads checkpoints
         progress=True if sys.stderr.isatty() else lines("fide fit"),
         check=check,
-        max_failures=1.0 if share is None else positive_fraction("max_failures", share),
+        fidelity=renders.fidelity,
+        max_failures=share,
     )
     return fitting, out, renders
 
@@ -289,27 +294,21 @@ def _renderer(args: argparse.Namespace) -> tuple[Any, Any, Any]:
 
 
 def _keep_pictures(renders: Renders, result: Any, out: Path) -> None:
-    """Render further solutions for `fide solutions`; those that fail stay without an image.
-
-    Each is one render, which the budget does not count.  Those that are stored already stay.
-    """
+    """Render further solutions for `fide solutions`; those that fail stay without an image."""
     import numpy as np
 
     from fide_plugins import solutions as stored
     from fide_plugins.fitting.pictures import as_compared, picture
     from fide_plugins.fitting.rendering import Rendered
 
-    known = stored.read_images(out)
     points = [one.x for one in result.solutions[1:]]
-    new = [x for x in points if stored.image_of(known, x) is None]
-    if not new:
-        return
-    for x, outcome in zip(new, renders(result.optimizer, np.array(new)), strict=True):
+    outcomes = renders(result.optimizer, np.array(points)) if points else []
+    kept: list[tuple[Any, Any]] = []
+    for x, outcome in zip(points, outcomes, strict=True):
         if isinstance(outcome, Rendered):
             with suppress(ImageError):  # no image that fits is a render that failed, too
                 image = as_compared(result.optimizer, outcome.image)
-                known.append((x, picture(result.optimizer, image)))
-    kept = [(x, image) for x, image in known if any(np.array_equal(x, one) for one in points)]
+                kept.append((x, picture(result.optimizer, image)))
     if kept:
         stored.write_images(out, [x for x, _ in kept], [image for _, image in kept])
 
@@ -327,6 +326,7 @@ def _summary(result: Any, out: Path) -> dict[str, Any]:
         "status": result.status.code,
         "stopped": result.stopped,
         "failures": result.failures,
+        "cost": result.cost,
         "clipped": result.clipped,
     }
 
@@ -334,7 +334,7 @@ def _summary(result: Any, out: Path) -> dict[str, Any]:
 def _note_found(result: Result | None) -> None:
     """Say what a fit had found when it ended early."""
     if result is not None and result.best is not None:
-        note(f"best loss {number(result.best.loss)}\n" + _parameters(result.best))
+        note(f"best loss {number(result.best.loss)}\n{_parameters(result.best)}")
 
 
 def _parameters(best: Solution) -> str:
@@ -351,21 +351,15 @@ def _report(result: Result, out: Path) -> None:
     if result.rejected:
         failed += f", {result.rejected:.0%} of the candidates rejected by constraints"
     stopped = f"stopped: {result.stopped.replace('_', '-')}"
-    print(f"{result.evaluations} renders in {duration(result.seconds)}, {stopped}{failed}")
+    coarse = (
+        "" if result.cost == result.evaluations else f" (as dear as {result.cost:.0f} full ones)"
+    )
+    print(f"{result.evaluations} renders{coarse} in {duration(result.seconds)}, {stopped}{failed}")
     if result.best is None:
-        print(_without_best(result))
+        print("there is no image with a finite loss; fide check looks at the renderer")
         return
     print(plain(result.status))
     print(_parameters(result.best))
     if result.std_renders:
         print(f"± one standard deviation, from {result.std_renders} more renders around the answer")
     print(f"look at {picture_in(out)}, or: {as_typed(['fide', 'solutions', str(out)])}")
-
-
-def _without_best(result: Any) -> str:
-    """Why a fit has no best candidate."""
-    if result.evaluations:
-        return "no render has a finite loss"
-    if not result.failures:
-        return "nothing was rendered in that time; give more --time"
-    return "no render gave an image; fide check shows the first error"

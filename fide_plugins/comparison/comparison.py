@@ -28,8 +28,7 @@ from fide_plugins.comparison.light import (
 from fide_plugins.losses.base import ImageLoss
 from fide_plugins.runtime.schema import check, real, text
 from fide_plugins.types import Float32, Float64
-from fide_plugins.views.view import View
-from fide_plugins.views.views import Views
+from fide_plugins.views.views import View, Views
 
 __all__ = ["Compared", "Comparison"]
 
@@ -57,7 +56,7 @@ class Comparison:
     """How renders are compared with a target.
 
     views: of the target.
-    loss: of views, such as `views.loss.loss_of(views, "mse")`.
+    loss: of views, such as `views.compared.loss_of(views, "mse")`.
     loss_at: makes the same loss for views whose targets are blurred; None: the loss is a user's own
         and knows one target; it gets the target with the blurred difference.
     light: "none", "exposure" or "shading": what of it is set aside.

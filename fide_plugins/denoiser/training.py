@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -69,48 +68,16 @@ def fit(
 
         def step(piece: slice, order: Tensor = order, total: Tensor = losses[epoch]) -> None:
             batch = order[piece]
-            with _rewound(generator):
-                context = network.encode_context(tokens[batch.to(tokens.device)].to(x))
-                denoise = precondition(partial(network, context=context))
-                loss = objective(denoise, x[batch], std, generator)
-                optimizer.zero_grad()
-                loss.backward()  # type: ignore[no-untyped-call]
+            context = network.encode_context(tokens[batch.to(tokens.device)].to(x))
+            denoise = precondition(partial(network, context=context))
+            loss = objective(denoise, x[batch], std, generator)
+            optimizer.zero_grad()
+            loss.backward()  # type: ignore[no-untyped-call]
             optimizer.step()
             total += loss.detach() * (len(batch) / len(x))
 
         batch_size.each(step, len(order))
     return losses
-
-
-@contextmanager
-def _rewound(generator: torch.Generator) -> Iterator[None]:
-    """After an error, as of memory, the generator draws again what it drew in this block."""
-    state = generator.get_state()
-    try:
-        yield
-    except Exception:
-        generator.set_state(state)
-        raise
-
-
-class Backup:
-    """Copy of weights and Adam's moments, on their device."""
-
-    def __init__(self, network: nn.Module, optimizer: torch.optim.Optimizer) -> None:
-        self._optimizer = optimizer
-        self._trained = bool(optimizer.state)  # whether there are moments yet
-        moments = [entry[name] for entry in optimizer.state.values() for name in entry]
-        tensors = [tensor.detach() for tensor in (*network.parameters(), *moments)]
-        self._pairs = [(tensor, tensor.clone()) for tensor in tensors]
-
-    @torch.no_grad()
-    def restore(self) -> None:
-        """Restore weights and moments; allocates no memory."""
-        self._optimizer.zero_grad()
-        for tensor, copy in self._pairs:
-            tensor.copy_(copy)
-        if not self._trained:
-            self._optimizer.state.clear()
 
 
 def all_finite(network: nn.Module) -> bool:

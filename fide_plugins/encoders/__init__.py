@@ -1,15 +1,12 @@
 """Encoders: images to tokens.
 
 An encoder turns n images into a float32 tensor (n, T, C): T tokens, each the C features of one
-patch.  T and C depend only on the image size.
+patch.  T and C depend only on the image size.  Features are comparable if name and version of the
+encoders are equal.
 
     >>> from fide_plugins import encoders
     >>> encoders.names()
     ['dense', 'dinov3', 'efficientnet', 'patch', 'texture', 'vgg19']
-
-`make` returns an object to call with a batch of images (any input of
-:func:`fide_plugins.images.as_batch`), with the attributes `name` and `version`; features are
-comparable if both are equal.  No large package is imported before `make`.
 """
 
 from __future__ import annotations

@@ -1,21 +1,11 @@
 """The `dense` encoder: hand-made features of a grid of patches, without weights.
 
-Notation
---------
-H, W     height and width of the image, pixels
-gh, gw   rows and columns of patches; T = gh gw <= 256
-S = 2    samples along the side of a patch; a sample is the mean color of its box of pixels
-
-The image is despeckled: from 84 x 84 pixels on each pixel becomes the median of its 3 x 3, since
-most of the noise of path tracing is in a few bright pixels.  Then it is averaged to 2 gh x 2 gw
-samples, exactly, also if boxes cut through pixels.  All features are computed from these samples.
-A square image has 14 x 14 patches at any resolution; other shapes have about as many square
-patches, see `grid`.
-
-A second set of samples is taken from the image despeckled twice, and smoothed by a bilateral
-filter (Tomasi & Manduchi 1998).  The features use (1 - w) times the first set plus w times the
-second.  The weight w grows with the noise level, the median over pixels of what the first median
-changed, from 0, at half a step of 8 bits, to 1, at 0.015.  Drawings and shaded scenes have w = 0.
+The image (H, W) is despeckled: from 84 x 84 pixels on each pixel becomes the median of its 3 x 3,
+since most of the noise of path tracing is in a few bright pixels.  Then it is averaged, exactly, to
+2 gh x 2 gw samples of gh x gw patches.  A second set of samples is taken from the image despeckled
+twice, and smoothed by a bilateral filter (Tomasi & Manduchi 1998).  The features use (1 - w) times
+the first set plus w times the second; w grows with the noise level, the median over pixels of what
+the first median changed, from 0 at half a step of 8 bits to 1 at 0.015.
 
 Channels of a token (C = 16)
 

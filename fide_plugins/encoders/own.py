@@ -18,7 +18,7 @@ import torch
 
 from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.errors import FeaturesError
-from fide_plugins.runtime.registry import Referent, differs, name_of, tried_on
+from fide_plugins.runtime.registry import Referent, name_of, tried_on
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.types import Float32
 
@@ -26,9 +26,7 @@ __all__ = ["OwnEncoder", "check_encoder", "referenced"]
 
 _REFERENT = Referent(
     "encoder",
-    "function",
     "a function of images",
-    "functions",
     "write FILE.py:NAME or module:NAME, such as features.py:blocks",
 )
 
@@ -81,8 +79,8 @@ class OwnEncoder(PatchEncoder):
             raise self._refused(f"the shape {tuple(np.shape(made))} for n = {len(batch)}")
         if not tokens.is_floating_point() or not torch.isfinite(tokens).all():
             raise self._refused(f"{tokens.dtype} with other values")
-        if shape != self._shapes.setdefault(batch.shape[1:3], shape):
-            known = self._shapes[batch.shape[1:3]]
+        known = self._shapes.setdefault(batch.shape[1:3], shape)
+        if shape != known:
             raise self._refused(f"(T, C) = {shape}, and {known} before for images of this size")
         return tokens.detach().float().clone().to(self.device)  # its array may be used again
 
@@ -97,20 +95,7 @@ class OwnEncoder(PatchEncoder):
 
 
 def check_encoder(encoder: PatchEncoder, target: Float32) -> None:
-    """Try a user's own encoder on the target (H, W, 3) and its negative; raises FeaturesError.
-
-    What it gives for the two must be what it gives for each alone.
-    """
-    if not isinstance(encoder, OwnEncoder):
-        return
-
-    def compute(batch: Float32) -> Any:
-        return encoder.compute(batch).cpu().numpy()
-
-    together, alone = tried_on(target, compute, f"the encoder {encoder.name!r}", FeaturesError)
-    if differs(together, alone):
-        raise FeaturesError(
-            f"the encoder {encoder.name!r} must give an image the same features in every batch, "
-            "but two images together have others than each alone; normalize each image for itself, "
-            "and switch layers that depend on the batch off (model.eval())"
-        )
+    """Try a user's own encoder on the target (H, W, 3) and its negative; raises FeaturesError."""
+    if isinstance(encoder, OwnEncoder):
+        what = f"the encoder {encoder.name!r}"
+        tried_on(target, lambda one: encoder.compute(one).cpu().numpy(), what, FeaturesError)

@@ -106,11 +106,7 @@ def _taper(side: int) -> Float64:
 
 @lru_cache(8)
 def _bands(side: int) -> Float64:
-    """Weights (bands, frequencies) of means over bands, (2 sides) frequencies of `rfft2`.
-
-    Bands are triangles on the logarithm of the frequency, times triangles on its angle from the
-    horizontal, which a mirrored picture shares.  Bands without a frequency are left out.
-    """
+    """Weights (bands, frequencies) of means over bands, (2 sides) frequencies of `rfft2`."""
     y, x = np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side)[None]
     radius, angle = np.hypot(y, x), np.arctan2(np.abs(y), x)
     counted = np.where((x == 0) | np.isclose(x, 0.5), 1.0, 2.0) * np.ones_like(radius)

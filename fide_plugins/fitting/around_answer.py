@@ -49,7 +49,8 @@ def std_around(
     """Standard deviations (dim,) of the best candidate, None if unknown; number of renders.
 
     most: renders, at least 1 + 4 p.  deadline: of `time.perf_counter`, when rendering stops.
-    NaN, too, where no side of the answer can be rendered.
+    NaN, too, where no side of the answer can be rendered.  Unknown, too, for a photograph whose
+    renders have edges that jump on most axes: slopes of jumps are too steep.
     """
     axes = numbers(optimizer)
     around = _Around(optimizer, workers, timeout, most, deadline)
@@ -58,6 +59,8 @@ def std_around(
             return None, around.renders
         seen = around.look({int(axis): around.either_side(axis, _STEP) for axis in axes})
         _look_closer(around, seen)
+        if optimizer.options.photo and 2 * sum(one.least > 0 for one in seen.values()) > len(seen):
+            return None, around.renders
     except _OverError:
         return None, around.renders
     _look_farther(around, seen)
@@ -76,11 +79,7 @@ class _OverError(Exception):
 
 @dataclass(eq=False)
 class _Seen:
-    """What steps on one axis have shown.
-
-    slopes: (h, w, 3) of each view, reduced.  curvature: energy of the second difference beside that
-    of the first; None: one side is known only.  least: what may be claimed.
-    """
+    """What steps on one axis have shown."""
 
     slopes: list[Float64]
     curvature: float | None
@@ -124,10 +123,7 @@ def _look_closer(around: _Around, seen: dict[int, _Seen]) -> None:
 
 
 def _look_farther(around: _Around, seen: dict[int, _Seen]) -> None:
-    """Double the step where nothing changes; what the renders do not suffice for stays unknown.
-
-    With few renders it grows faster, which finds what nothing shows, and leaves others unknown.
-    """
+    """Double the step where nothing changes; what the renders do not suffice for stays unknown."""
     still = {axis: one.step for axis, one in seen.items() if not one.changed}
     while still:
         rounds = max(1.0, around.left // (2 * len(still)))

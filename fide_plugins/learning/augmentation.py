@@ -47,7 +47,8 @@ def change_some(
     every = torch.randperm(len(images), generator=generator, device=generator.device)
     which = every[: int(share * len(images))]
     if len(which):
-        images[which] = change(images[which], *(one[which] for one in others), generator)
+        some = (one.index_select(0, which) for one in (images, *others))
+        images.index_copy_(0, which, change(*some, generator))
 
 
 def uniform(n: int, values: int, low: float, high: float, generator: torch.Generator) -> Tensor:

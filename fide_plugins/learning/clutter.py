@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn import functional as F
 
 from fide_plugins.errors import OptionError
 from fide_plugins.learning.augmentation import (
@@ -46,6 +45,7 @@ _GAMMA, _GAIN = 0.6, 0.4  # powers of 2
 _WHITE, _SHADING, _OFFSET = 0.08, 0.3, 0.1
 _FOCUS = 0.3, 1.0  # standard deviation of a blur of 5 x 5 pixels, in pixels
 _GRAIN = 0.04  # standard deviation of noise, at most
+_QUALITY = 30, 95  # of JPEG
 _CHUNK = 100  # images that are composed at once
 
 
@@ -60,7 +60,7 @@ class Clutter:
     3. shadow       beside the object, in a quarter
     4. in front     up to two rectangles
     5. light        gain, offset, gamma and white, and a gain that is a plane over the picture
-    6. camera       blur and noise
+    6. camera       blur, noise and JPEG
 
     So the same renders serve many passes, and what only clutter decides is marginalized.  Renders
     without a coverage get what needs none: 4, 5 and 6.
@@ -140,13 +140,17 @@ def _crop(pictures: Sequence[Float32], size: tuple[int, int], rng: np.random.Gen
 
 
 def _rimmed(behind: Tensor, coverage: Tensor, generator: torch.Generator) -> Tensor:
-    """With one gray around the object, as wide for all."""
+    """With one gray around the object."""
     n, _, height, width = behind.shape
     gray = uniform(n, 1, 0.0, 1.0, generator)[:, :, None, None]
     most = max(1, round(_WIDEST_RIM * max(height, width)))
-    rim = int(torch.randint(1, most + 1, (), generator=generator, device=generator.device))
-    around = F.max_pool2d(coverage, (2 * rim + 1, 1), 1, (rim, 0))
-    around = F.max_pool2d(around, (1, 2 * rim + 1), 1, (0, rim))
+    rims = torch.randint(1, most + 1, (n,), generator=generator, device=generator.device).tolist()
+    masks = coverage[:, 0].cpu().numpy()
+    wider = [
+        cv2.dilate(mask, np.ones((2 * rim + 1,) * 2, np.uint8))
+        for mask, rim in zip(masks, rims, strict=True)
+    ]
+    around = torch.from_numpy(np.array(wider))[:, None].to(behind.device)
     return around * gray + (1 - around) * behind
 
 
@@ -187,8 +191,21 @@ def _grainy(images: Tensor, generator: torch.Generator) -> Tensor:
     return noisy(images, generator, _GRAIN)
 
 
+def _compressed(images: Tensor, generator: torch.Generator) -> Tensor:
+    """As JPEG has them."""
+    qualities = uniform(len(images), 1, *_QUALITY, generator)[:, 0].tolist()
+    pixels = (255 * images.clamp(0.0, 1.0)).byte().permute(0, 2, 3, 1).cpu().numpy()
+    found = []
+    for image, quality in zip(pixels, qualities, strict=True):
+        _, file = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, int(quality)])
+        found.append(cv2.imdecode(file, cv2.IMREAD_COLOR))
+    whole = torch.from_numpy(np.array(found)).to(images.device)
+    return whole.permute(0, 3, 1, 2).float() / 255
+
+
 _CLUTTER = (
     (in_front, 1 / 4), (in_front, 1 / 4), (_lit, 3 / 4), (_out_of_focus, 1 / 2), (_grainy, 1 / 2),
+    (_compressed, 1 / 4),
 )  # fmt: skip
 
 

@@ -23,7 +23,7 @@ from fide_plugins.types import Float64, Indices, Mask
 LARGEST_SCALE = 4.0
 COVERAGE = 0.9  # of the region of highest density
 DRAWS = 99  # so that a calibrated truth is among the 90 densest of 100 in 90 %
-_STEP = 1.2
+_SCALES = 16
 _FEWEST, _MOST = 50, 300  # renders: they tell their share to 4 %, and to 2 %
 ENOUGH = 2 * _FEWEST  # held-out renders for a scale, which half of them choose
 
@@ -64,35 +64,20 @@ def fitted_scale(network: Network, x: Float64, images: Pixels, seed: int = 0) ->
 
     A network that has seen its renders several times is too sure of itself; one scale of all
     standard deviations mends it, as in temperature scaling (Guo et al. 2017, arXiv:1706.04599).
-    Interpolated between steps of 1.2.  1 without renders, or where regions hold 90 % already; they
-    are never made smaller, since photographs are further from what was learned than renders are.
-    The network is left as it was.
+    1 without renders, or where regions hold 90 % already; they are never made smaller, since
+    photographs are further from what was learned than renders are.  The network is left as it was.
     """
-    if not len(x):
-        return 1.0
-
-    def coverage(scale: float) -> float:
-        """Share of renders whose parameters are in their 90 % region."""
-        network.scale = scale
-        generator = torch.Generator().manual_seed(seed)
-        u = torch.from_numpy(x.astype(np.float32))
-        inside = []
-        for i in range(len(x)):
-            image = as_input(images[i : i + 1])
-            inside.append(in_region(network, image, network.sample(image, DRAWS, generator), u[i]))
-        return float(np.mean(inside))
-
-    before, scale = network.scale, 1.0
+    before, u = network.scale, torch.from_numpy(x.astype(np.float32))
     try:
-        covered = coverage(scale)
-        while covered < COVERAGE and scale < LARGEST_SCALE:
-            wider = min(_STEP * scale, LARGEST_SCALE)
-            more = coverage(wider)
-            if more >= COVERAGE:
-                part = (COVERAGE - covered) / (more - covered)
-                return float(scale * (wider / scale) ** part)
-            scale, covered = wider, more
-        return scale
+        for network.scale in np.geomspace(1.0, LARGEST_SCALE, _SCALES).tolist():
+            generator, inside = torch.Generator().manual_seed(seed), 0
+            for i in range(len(x)):
+                image = as_input(images[i : i + 1])
+                drawn = network.sample(image, DRAWS, generator)
+                inside += in_region(network, image, drawn, u[i])
+            if inside >= COVERAGE * len(x):
+                break
+        return network.scale
     finally:
         network.scale = before
 
@@ -180,18 +165,15 @@ def _logs(distances: Float64) -> Float64:
 def familiarity_of(network: Network, training: Training) -> Familiarity:
     """Familiarity of the renders of a training, the held-out ones among them."""
     aside = is_held_out(len(training.x))
-    learned = np.flatnonzero(~aside)[:_MOST_FEATURES]  # of all images a copy would be large
-    others = training.shown(np.flatnonzero(aside))
-    return Familiarity.of(_features(network, training.shown(learned)), _features(network, others))
 
+    def features(rows: Indices) -> Float64:
+        images = training.shown(rows)
+        parts = [images[i : i + _BATCH] for i in range(0, len(rows), _BATCH)]
+        vectors = torch.cat([network.vectors(as_input(part)) for part in parts])
+        return np.asarray(vectors.numpy(), np.float64)
 
-def _features(network: Network, images: Pixels) -> Float64:
-    """Features (n, F) of images (n, H, W, 3)."""
-    parts = [
-        network.vectors(as_input(images[i : i + _BATCH])) for i in range(0, len(images), _BATCH)
-    ]
-    features: Float64 = torch.cat(parts).numpy().astype(np.float64)
-    return features
+    learned = np.flatnonzero(~aside)[:_MOST_FEATURES]
+    return Familiarity.of(features(learned), features(np.flatnonzero(aside)))
 
 
 # -- which parameters images show ------------------------------------------------------------------
@@ -398,7 +380,7 @@ def _judged(
     in_blocks = set(blocks.ravel().tolist())
     names = [_NUMBER.sub("", one) if i in in_blocks else one for i, one in enumerate(names)]
     shown = are_shown(np.array(told), names)
-    counted = shown if shown.any() else ~shown  # other axes say nothing of which block is which
+    counted = shown if shown.any() else ~shown
     near = []
     for samples, truth in zip(drawings, x, strict=False):
         some, at = np.where(counted, samples, 0.5), np.where(counted, truth, 0.5)

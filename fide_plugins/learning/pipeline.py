@@ -58,22 +58,19 @@ def blocks_of(renderer: BatchRenderer, groups: Sequence[Sequence[int]] | None) -
     if hasattr(groups, "__len__") and len(groups) == 0:
         return []
     blocks: list[list[int]] = check_groups(groups, renderer.dim).tolist()
-    for one, *others in zip(*blocks, strict=True):
-        for other in others:
-            if renderer.periodic[one] != renderer.periodic[other]:
-                around, straight = (one, other) if renderer.periodic[one] else (other, one)
-                raise OptionError(
-                    f"groups must be alike: parameter {around} is periodic, and {straight}, which "
-                    "has its place in another group, is not"
-                )
+    for same in zip(*blocks, strict=True):
+        around = [axis for axis in same if renderer.periodic[axis]]
+        straight = [axis for axis in same if not renderer.periodic[axis]]
+        if around and straight:
+            raise OptionError(
+                f"groups must be alike: parameter {around[0]} is periodic, and {straight[0]}, "
+                "which has its place in another group, is not"
+            )
     return blocks
 
 
 def has_emulator(emulator: bool | None, blocks: Sequence[Sequence[int]], clutter: bool) -> bool:
-    """Whether a learned renderer is trained; None: where there are exchangeable blocks.
-
-    Raises OptionError for what is no bool or None, and for one without blocks or with clutter.
-    """
+    """Whether a learned renderer is trained; None: where there are exchangeable blocks."""
     if not (emulator is None or isinstance(emulator, bool)):
         raise OptionError(f"emulator is True, False or None, not {emulator!r}")
     if emulator and not blocks:
@@ -130,16 +127,12 @@ class _Plan:
     @property
     def settings(self) -> dict[str, Any]:
         """What the renders are of."""
-        space = self.renderer.space
+        of = self.renderer
         return {
-            **({"coverage": True} if self.renderer.coverage else {}),
-            "dim": self.renderer.dim,
-            "size": list(self.size),
-            "seed": self.seed,
-            "renderer": self.renderer.name,
-            "version": self.renderer.version,
-            "space": None if space is None else space.to_dict(),
-        }
+            **({"coverage": True} if of.coverage else {}),
+            "dim": of.dim, "size": list(self.size), "seed": self.seed, "renderer": of.name,
+            "version": of.version, "space": None if of.space is None else of.space.to_dict(),
+        }  # fmt: skip
 
     def model(self, folder: Path) -> Model:
         """Render, train and judge."""
@@ -147,8 +140,11 @@ class _Plan:
         with _enough_memory(self.device):
             network, density = self._density(x, images, folder)
             emulator, emulated = self._emulator(x, images, folder)
+        space = self.renderer.space
+        numbered = [f"x[{i}]" for i in range(self.renderer.dim)]
+        names = [one for one, axes in space.axes.items() for _ in axes] if space else numbered
         report = report_of(
-            network, density, self._names, failed=failed, emulated=emulated,
+            network, density, names, failed=failed, emulated=emulated,
             on_picture=lambda *at: self.on_progress(LearnProgress("judge", *at)),
         )  # fmt: skip
         return Model(
@@ -231,14 +227,6 @@ class _Plan:
         left = share * self.seconds - (clock.monotonic() - self.start)
         return max(left, min(1e-3, share * self.seconds))
 
-    @property
-    def _names(self) -> list[str]:
-        """Of the axes."""
-        space = self.renderer.space
-        if space is None:
-            return [f"x[{i}]" for i in range(self.renderer.dim)]
-        return [name for name, axes in space.axes.items() for _ in axes]
-
 
 @contextmanager
 def _enough_memory(device: torch.device) -> Iterator[None]:
@@ -306,7 +294,7 @@ def learn(
     augment
         how much renders are changed while they are learned: "photograph", for pictures of any
         source; "render", focus and noise alone, for pictures that the renderer itself makes;
-        "none", see `learning.augmentation`.
+        "none".  Clutter takes its place.
     emulator
         whether a learned renderer is trained, too, by which hypotheses are refined without renders,
         see `learning.emulator`; it needs exchangeable blocks.  None: where there are some.
@@ -321,9 +309,9 @@ def learn(
         "generated".  Each pass puts every render onto other parts of them; `render` says what it
         draws: it returns RGBA, or a pair of the image and its coverage (H, W) in [0, 1].
     clutter
-        whether rims, shadows, things in front, light, blur and noise change as well, by more than
-        `augment`; None: where there are backgrounds.  With True alone backgrounds are generated,
-        or left as they are where renders have no coverage.
+        whether rims, shadows, things in front, light, blur, noise and JPEG change as well; None:
+        where there are backgrounds.  With True alone backgrounds are generated, or left as they
+        are where renders have no coverage.
     on_progress
         called after every shard of renders, after every pass, and after every held-out picture that
         judges the model.
@@ -356,8 +344,15 @@ def learn(
     _ = renderer.version  # raises for one that is no text
     shape, coverage = renderer.first_shape()
     if composed is not None and not coverage:
-        composed = _without_coverage(composed, backgrounds)
+        if backgrounds is not None:
+            raise OptionError(
+                "backgrounds need renders that say what they draw: return RGBA (H, W, 4), or the "
+                "image and its coverage (H, W) in [0, 1]; or give clutter=True without backgrounds"
+            )
+        composed = replace(composed, backgrounds=(), name="clutter without backgrounds")
     renderer = replace(renderer, shape=shape, coverage=composed is not None and coverage)
+    if composed is not None and composed.changes:  # by more
+        augment = "none"
     plan = _Plan(
         renderer=renderer, shape=shape, size=small_size(shape, size),
         renders=renders, passes=passes, workers=workers, seed=seed,
@@ -370,16 +365,6 @@ def learn(
     if out is not None:
         model.save(out)
     return model
-
-
-def _without_coverage(clutter: Clutter, backgrounds: object) -> Clutter:
-    """Clutter of renders without a coverage; OptionError where there are backgrounds."""
-    if backgrounds is not None:
-        raise OptionError(
-            "backgrounds need renders that say what they draw: return RGBA (H, W, 4), or the "
-            "image and its coverage (H, W) in [0, 1]; or give clutter=True without backgrounds"
-        )
-    return replace(clutter, backgrounds=(), name="clutter without backgrounds")
 
 
 def _check(

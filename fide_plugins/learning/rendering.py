@@ -6,7 +6,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, wait
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from multiprocessing import current_process
 
 import numpy as np
@@ -45,57 +45,16 @@ def too_few(there: int, least: int, failed: int, renders: int) -> FideError:
     )
 
 
-@dataclass
-class _Tally:
-    """What a renderer has made in this call: failures of each shard, and whether images differ."""
-
-    name: str
-    failed: dict[int, int] = field(default_factory=dict)
-    why: str = ""
-    first: Pixels | None = None
-    equal: bool = True
-
-    def add(self, shard: int, images: Sequence[Small]) -> None:
-        reasons = [image.reason for image in images if isinstance(image, Failed)]
-        self.failed[shard] = len(reasons)
-        self.why = self.why or next(iter(reasons), "")
-        for image in images:
-            if self.equal and not isinstance(image, Failed):
-                self.first = image if self.first is None else self.first
-                self.equal = np.array_equal(image, self.first)
-
-    def error(self) -> RenderError | None:
-        """Why the renderer must be mended; None while too few renders say so."""
-        tried, failed = SHARD * len(self.failed), sum(self.failed.values())
-        if tried < _FEW:
-            return None
-        if 2 * failed > tried:
-            return RenderError(
-                f"{self.name} failed for {failed} of {tried} random parameters, or gave no image: "
-                "mend it, or make the ranges of its parameters smaller; the first one: "
-                f"{self.why}"
-            )
-        return all_equal(self.name, tried - failed) if self.equal else None
-
-
-@dataclass(frozen=True)
-class _Points:
-    """Points (n, d) of the cube, and the noise seed of each."""
-
-    X: Float64
-    seeds: list[int]
-
-
 @dataclass(frozen=True)
 class _Shards:
-    """Renders `_Points`, in a worker."""
+    """Renders points (n, d) of the cube, with the noise seed of each, in a worker."""
 
     renderer: BatchRenderer
     size: tuple[int, int]
 
-    def __call__(self, points: _Points) -> Outcome:
+    def __call__(self, points: tuple[Float64, list[int]]) -> Outcome:
         start = time.perf_counter()
-        images = self.renderer.small(points.X, points.seeds, self.size)
+        images = self.renderer.small(*points, self.size)
         return Rendered(images, time.perf_counter() - start)
 
 
@@ -140,28 +99,35 @@ def fill(
     renderer has spoiled: the next call renders them again.
     """
     missing = store.missing(renders)
-    done, tally = renders - SHARD * len(missing), _Tally(renderer.name)
     stop = np.inf if seconds is None else time.monotonic() + seconds
+    failed: dict[int, int] = {}  # of each shard
+    why, equal, first = "", True, np.empty(0, np.uint8)
     pool = pool_for(renderer, store.size, workers)
     try:
         for shard, images in _rendered(store, renderer.name, missing, stop, pool):
             store.write(shard, images)
-            tally.add(shard, images)
-            if (error := tally.error()) is not None:
-                store.remove([one for one, failed in tally.failed.items() if failed or tally.equal])
-                raise error
-            done += SHARD
-            on_progress(min(max(done, 0), renders))
+            there: list[Pixels] = [one for one in images if not isinstance(one, Failed)]
+            failed[shard] = SHARD - len(there)
+            why = why or next((one.reason for one in images if isinstance(one, Failed)), "")
+            first = there[0] if there and not first.size else first
+            equal = equal and all(np.array_equal(image, first) for image in there)
+            tried, lost = SHARD * len(failed), sum(failed.values())
+            if tried >= _FEW and (equal or 2 * lost > tried):
+                store.remove([one for one, some in failed.items() if some or equal])
+                if 2 * lost <= tried:
+                    raise all_equal(renderer.name, tried - lost)
+                raise RenderError(
+                    f"{renderer.name} failed for {lost} of {tried} random parameters, or gave no "
+                    "image: mend it, or make the ranges of its parameters smaller; the first one: "
+                    f"{why}"
+                )
+            on_progress(min(max(renders + SHARD * (len(failed) - len(missing)), 0), renders))
     finally:
         pool.close()
 
 
 def _rendered(
-    store: RenderStore,
-    name: str,
-    missing: Sequence[int],
-    stop: float,
-    pool: Workers,
+    store: RenderStore, name: str, missing: Sequence[int], stop: float, pool: Workers
 ) -> Iterator[tuple[int, list[Small]]]:
     """Shards with their images; one whose worker dies is rendered again, one by one."""
     waiting = deque((shard, list(range(SHARD))) for shard in missing)
@@ -175,7 +141,7 @@ def _rendered(
                 continue
             found.setdefault(shard, {})
             seeds = store.noise_seeds(shard)
-            points = _Points(store.parameters(shard)[rows], [seeds[row] for row in rows])
+            points = store.parameters(shard)[rows], [seeds[row] for row in rows]
             running[pool.submit(points)] = shard, rows
         for task in wait(running, return_when=FIRST_COMPLETED).done:
             shard, rows = running.pop(task)

@@ -62,9 +62,7 @@ class BatchRenderer:
     @property
     def periodic(self) -> tuple[bool, ...]:
         """(d,), axes that wrap around."""
-        if self.space is None:
-            return (False,) * self.dim
-        return tuple(self.space.periodic.tolist())
+        return (False,) * self.dim if self.space is None else tuple(self.space.periodic.tolist())
 
     @property
     def version(self) -> str | None:
@@ -85,16 +83,16 @@ class BatchRenderer:
             )
             if not isinstance(batch, Failed):
                 return batch
-        return [self._alone(x, seed, size) for x, seed in zip(X, seeds, strict=True)]
-
-    def _alone(self, x: Float64, seed: int, size: tuple[int, int]) -> Small:
-        image = attempt(lambda: self._image(x, seed), _briefly)
-        return image if isinstance(image, Failed) else self._small(image, size)
+        return [self._small(self._image(*one), size) for one in zip(X, seeds, strict=True)]
 
     def _image(self, x: Float64, seed: int = 0) -> Any:
+        """What is rendered at x (d,), or a `Failed`."""
         if hasattr(self.source, "render"):
-            return self._batch(x[None], [seed])[0]
-        return self.source(x.copy() if self.space is None else self.space.decode(x))
+            return attempt(lambda: self._batch(x[None], [seed])[0], _briefly)
+        space = self.space
+        return attempt(
+            lambda: self.source(x.copy() if space is None else space.decode(x)), _briefly
+        )
 
     def _batch(self, X: Float64, seeds: Sequence[int]) -> Any:
         if "seed" in signature(self.source.render).parameters:
@@ -110,19 +108,17 @@ class BatchRenderer:
         others = np.random.default_rng(0).random((_OTHERS, self.dim))
         errors: list[Exception] = []
         for x in (np.full(self.dim, 0.5), *others):
+            image = self._image(x)
+            if isinstance(image, Failed):
+                where = f"in the middle of the space, and at {_OTHERS} other points"
+                errors.append(RenderError(f"{self.name} failed {where}: {image.reason}"))
+                continue
             try:
-                image = attempt(lambda x=x: self._image(x), _briefly)  # type: ignore[misc]
-                if isinstance(image, Failed):
-                    raise RenderError(
-                        f"{self.name} failed in the middle of the space, and at {_OTHERS} other "
-                        f"points: {image.reason}"
-                    )
                 found = covered(image, self._what)
                 height, width, _ = (self._canonical(image) if found is None else found).shape
-            except (RenderError, ImageError) as error:
-                errors.append(error)
-            else:
                 return (height, width), found is not None
+            except ImageError as error:
+                errors.append(error)
         raise errors[0]
 
     @property
@@ -139,6 +135,8 @@ class BatchRenderer:
         return found
 
     def _small(self, image: Any, size: tuple[int, int]) -> Small:
+        if isinstance(image, Failed):
+            return image
         try:
             whole = self._canonical(image)
         except ImageError as error:
@@ -271,19 +269,16 @@ class RenderStore:
         if self._bound:
             there = checkpoint.read(folder / "settings", _KIND)
             self.fingerprint = there.pop("fingerprint", None)
-            self._check_same(there)
-
-    def _check_same(self, there: Mapping[str, Any]) -> None:
-        differences = [
-            f"its {name} is {there.get(name)!r}, not {self.settings.get(name)!r}"
-            for name in sorted({*there, *self.settings})
-            if there.get(name) != self.settings.get(name)
-        ]
-        if differences:
-            raise OptionError(
-                f"{self.folder} holds other renders: {'; '.join(differences)}; name another file, "
-                "or delete the folder"
-            )
+            differences = [
+                f"its {name} is {there.get(name)!r}, not {self.settings.get(name)!r}"
+                for name in sorted({*there, *self.settings})
+                if there.get(name) != self.settings.get(name)
+            ]
+            if differences:
+                raise OptionError(
+                    f"{folder} holds other renders: {'; '.join(differences)}; name another file, "
+                    "or delete the folder"
+                )
 
     def bind(self, fingerprint: str | None) -> None:
         """Record the fingerprint of the renderer whose images these are; or OSError."""
@@ -349,15 +344,15 @@ class RenderStore:
 
         Raises CheckpointError for a shard that is damaged.
         """
-        parts = [self._read(i) for i in self._present(renders)]
-        x = np.concatenate([np.empty((0, self.settings["dim"])), *(x for x, _ in parts)])
+        shards = self._present(renders)
+        x = np.empty((SHARD * len(shards), self.settings["dim"]))
         images = np.empty((len(x), *self.shape), np.uint8)
-        start = 0
-        while parts:  # each is dropped when it was copied
-            _, some = parts.pop(0)
-            images[start : start + len(some)] = some
-            start += len(some)
-        return x[:renders], images[:renders]
+        n = 0
+        for shard in shards:  # no second copy of all: they may take half the memory
+            some, pixels = self._read(shard)
+            x[n : n + len(some)], images[n : n + len(some)] = some, pixels
+            n += len(some)
+        return x[: min(n, renders)], images[: min(n, renders)]
 
     def examples(self, most: int) -> tuple[Float64, list[int], Pixels]:
         """Points (n, d), seeds of the noise (n,) and images (n, H, W, 3) of some renders.
@@ -471,8 +466,7 @@ def _compare(
             f"{store.folder} has images; mend the renderer, or delete the folder if it is of "
             f"another one: {why}"
         )
-    old = images[there].astype(np.float64)
-    new = np.array([again[i] for i in there], np.float64)
+    old, new = images[there].astype(np.float64), np.array([again[i] for i in there], np.float64)
     if (np.abs(new - old) > _ROUNDING).mean() <= _FLIPPED:
         return
     others = renderer.small(x[there], [seeds[i] + _SEED for i in there], store.size)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 import torch
@@ -30,7 +32,9 @@ _PATIENCE = 4  # passes without a better held-out likelihood that end training
 _STANDARD = 1000  # renders by which images are standardized
 _CLIP = 5.0  # norm of a gradient
 _BATCH_OF_TEST = 500
+_AHEAD = 3  # batches that are made while others are learned from
 _KIND = "training"
+_T = TypeVar("_T")
 _REMEDY = "delete this file, and it is trained again; the renders are kept"
 
 Curve = list[list[float]]
@@ -135,22 +139,29 @@ class Training:
         They are fewer than all if the time is up: the rate is zero from then on.
         """
         rng = np.random.default_rng((self.seed, 2, self.passed))
-        generator = torch.Generator(self.network.device).manual_seed(int(rng.integers(2**62)))
+        drawn = int(rng.integers(2**62))
+        generator = torch.Generator(self.network.device).manual_seed(drawn)
         order = rng.permutation(self._train)
         total, seen = 0.0, 0
+        with closing(_ahead(self._batches(order, drawn))) as batches:
+            for images, u in batches:
+                if seen and self._late(time.monotonic() - start):
+                    break
+                self._set_rate(seen, start)
+                loss = self.network.loss(images, u, generator)
+                self._step(loss)
+                total, seen = total + float(loss.detach()) * len(u), seen + len(u)
+        return total / max(1, seen), seen
+
+    def _batches(self, order: Indices, drawn: int) -> Iterator[tuple[Tensor, Tensor]]:
+        """Images (B, 3, H, W), changed, and parameters (B, d) of a pass; drawn: a seed."""
+        generator = torch.Generator(self.network.device).manual_seed(drawn)
         for first in range(0, len(order), self.batch):
-            if first and self._late(time.monotonic() - start):
-                break
             some = np.sort(order[first : first + self.batch])
-            self._set_rate(first, start)
             images, u = self._batch(self.images[some], some)
             if self.clutter is not None:
                 images = self.clutter.composed(images, generator)
-            images = augmented(images, generator, self.augment)
-            loss = self.network.loss(images, u, generator)
-            self._step(loss)
-            total, seen = total + float(loss.detach()) * len(some), seen + len(some)
-        return total / max(1, seen), seen
+            yield augmented(images, generator, self.augment), u
 
     def shown(self, rows: Indices) -> Pixels:
         """Images (n, H, W, 3) of some rows (n,), with clutter if there is some."""
@@ -242,6 +253,15 @@ class Training:
             for i, entry in state["moments"].items()
         }
         self._optimizer.load_state_dict(whole)
+
+
+def _ahead(batches: Iterator[_T]) -> Generator[_T, None, None]:
+    """As they come, but made in a thread, while those before are learned from."""
+    with ThreadPoolExecutor(1) as thread:
+        waiting = [thread.submit(next, batches, None) for _ in range(_AHEAD)]
+        while (one := waiting.pop(0).result()) is not None:
+            waiting.append(thread.submit(next, batches, None))
+            yield one
 
 
 def _copy(network: nn.Module) -> dict[str, Tensor]:

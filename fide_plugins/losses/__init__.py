@@ -64,8 +64,6 @@ def takes_weights(name: str) -> bool:
 def make(name: str, target: object, **options: object) -> LossOfTarget:
     """Loss of that name for `target`, any input of `as_target`.
 
-    The name may end with a variant, ``"lpips:vgg"``.
-
     options: arguments of the loss's class, such as `device` of "lpips".
 
     Raises `UnknownNameError`, `OptionError` for an option that the loss does not have,
@@ -118,8 +116,6 @@ def resolve(
         loss.check_target(target)
         return loss
     if isinstance(loss, CallableLoss):
-        if target is not None:
-            loss.check_target(target)
         return loss
     if not callable(loss):
         raise LossError(

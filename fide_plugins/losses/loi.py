@@ -1,31 +1,18 @@
-"""The `loi` loss: distance of locally orderless images.
+"""The `loi` loss: distance of locally orderless images (Koenderink and van Doorn, IJCV 1999).
 
-A locally orderless image (Koenderink and van Doorn, "The structure of locally orderless images",
-IJCV 1999) keeps, at each place, the histogram of the values around it, but not their order.  So
-a displaced object changes the loss over the whole extent of the histograms.  Mehta, Chandraker and
-Ramamoorthi, "Locally orderless images for optimization in differentiable rendering", CVPR 2025, use
-it as a loss for inverse rendering, with the Wasserstein distance between the histograms.
+They keep, at each place, the histogram of the values around it, but not their order.  Mehta,
+Chandraker and Ramamoorthi, CVPR 2025, use it as a loss for inverse rendering.
 
-Notation
---------
-I            image, one color channel, (H, W)
-sigma        spatial scale, also called inner: I_sigma = G_sigma * I, a finite resolution
+sigma        spatial scale: I_sigma = G_sigma * I of one color channel
 beta         tonal scale: width of the Gaussian that stands for one value in a histogram
-alpha        extent scale, also called outer: width of the Gaussian window of a histogram
+alpha        extent scale: width of the Gaussian window of a histogram
 t_k          tones, K of them, equally spaced over [-beta, 1 + beta]
-F_k(x)       cumulative histogram around x: the fraction of values below the tone t_k
 
-             F_k = G_alpha * Phi((t_k - I_sigma) / beta),      Phi the normal distribution function
+    F_k = G_alpha * Phi((t_k - I_sigma) / beta),      Phi the normal distribution function
+    loss = mean over pairs (sigma, alpha), channels, places of   sum_k |F_k - F'_k| (t_2 - t_1)
 
-Distance to the target's F', which is 0 if and only if all F are equal:
-
-             mean over pairs (sigma, alpha), channels, places x, of   sum_k |F_k - F'_k| (t_2 - t_1)
-
-The sum is the 1-Wasserstein (earth mover's) distance of the two local histograms, in units of
-tones: 1 is the distance between black and white (apart from the smoothing beta beyond the tones).
-
-For speed I_sigma and F are evaluated on grids whose spacing equals their scale, Phi is a formula
-with an error of 2e-4, and windows are cut off at the image's borders and renormalized.
+The sum is the 1-Wasserstein distance of two local histograms, in units of tones.  I_sigma and F are
+evaluated on grids whose spacing equals their scale.
 """
 
 from __future__ import annotations

@@ -1,21 +1,16 @@
-"""The `lpips` loss: learned perceptual image patch similarity, version 0.1.
+"""The `lpips` loss: learned perceptual image patch similarity 0.1, of AlexNet (Zhang et al. 2018).
 
-Zhang et al. 2018, "The unreasonable effectiveness of deep features as a perceptual metric",
-equation 1: with y_l the activations of layer l of a network that classifies images, normalized to
-unit length in the direction of the channels, and w_l >= 0 learned from people's judgments,
+With y_l the activations of layer l, of unit length over the channels, and learned w_l >= 0,
 
     loss = sum_l  mean over places of  sum_c w_lc (y_lc - y'_lc)^2.
 
-The loss needs two files of weights: that of the network, which torchvision publishes, and that of
-the w_l, which is part of the package `lpips`.  Only that file of the package is used, so it can be
-installed without its dependencies: ``pip install --no-deps lpips``.
+The w_l are part of the package `lpips`, of which nothing is imported.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -24,89 +19,70 @@ import torch
 from torch import Tensor, nn
 
 from fide_plugins.encoders.pretrained import backbones, weights as weights_module
-from fide_plugins.encoders.pretrained.backbones import Architecture
 from fide_plugins.encoders.pretrained.weights import Published
-from fide_plugins.errors import ImageError, OptionError, WeightsMismatchError
+from fide_plugins.errors import ImageError, WeightsMismatchError
 from fide_plugins.losses.base import LossOfTarget
 from fide_plugins.runtime.devices import batch_size, digest, in_batches, on_device, resolve_device
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.types import Float32, Float64
 
-__all__ = ["VARIANTS", "LPIPSLoss"]
+__all__ = ["LPIPSLoss"]
 
-# input of the networks: (2 image - 1 - SHIFT) / SCALE
+# input of the network: (2 image - 1 - SHIFT) / SCALE
 SHIFT = (-0.030, -0.088, -0.188)
 SCALE = (0.458, 0.448, 0.450)
+LAYERS, CHANNELS = (1, 4, 7, 9, 11), (64, 192, 384, 256, 256)  # that are compared
+SMALLEST = 31  # pixels of a side, for which the last layer is not empty
 _TINY = 1e-10
 _AT_ONCE = 64  # images copied to the device together
-_URL = "https://raw.githubusercontent.com/richzhang/PerceptualSimilarity/master/lpips/weights/v0.1/"
-
-
-@dataclass(frozen=True, slots=True)
-class Variant:
-    """A network, and the layers that LPIPS compares.
-
-    layers: indices of the layers; channels: their numbers of channels.
-    smallest: side in pixels of the smallest image for which the last layer is not empty.
-    sha256: first digits of the SHA-256 of the published w_l.
-    """
-
-    architecture: Architecture
-    layers: Sequence[int]
-    channels: Sequence[int]
-    smallest: int
-    sha256: str
-
-
-VARIANTS = {
-    "alex": Variant(backbones.ALEXNET, (1, 4, 7, 9, 11), (64, 192, 384, 256, 256), 31, "df73285e"),
-    "vgg": Variant(backbones.VGG16, (3, 8, 15, 22, 29), (64, 128, 256, 512, 512), 16, "a78928a0"),
-}
+_HEADS = Published(
+    "LPIPS 0.1 (alex)",
+    "lpips-v0.1-alex.pth",
+    "https://raw.githubusercontent.com/richzhang/PerceptualSimilarity/master/lpips/weights/v0.1/"
+    "alex.pth",
+    "df73285e",
+)
+_HOW = (
+    "; losses.make('lpips', target, download=True) fetches both of its files once, the network's "
+    f"from {backbones.ALEXNET.published.url}, losses.make(..., weights=PATH, heads=PATH) reads "
+    "files of yours, and the loss 'perceptual' needs none"
+)
 
 
 class LPIPSLoss(LossOfTarget):
-    """Distance of deep features, with weights learned from human judgments.
+    """Distance of deep features of AlexNet, with weights learned from human judgments.
 
-    variant: the network: "alex", which the authors recommend as a metric, or "vgg".
     weights: torchvision's file of the network; None: the file in PyTorch's cache.
     heads: file of the w_l; None: that of the package `lpips`, or the file in PyTorch's cache.
     download: download missing files into that cache.
     device: of the network; "auto": CUDA if it is available.
 
-    Raises ImageError for a target too small for the network, OptionError, WeightsNotFoundError, and
+    Raises ImageError for a target too small for the network, WeightsNotFoundError, and
     WeightsMismatchError for a file that does not fit, or has a w_l below 0.
     """
+
+    name = "lpips"
 
     def __init__(
         self,
         target: object,
         *,
-        variant: str = "alex",
         weights: str | os.PathLike[str] | None = None,
         heads: str | os.PathLike[str] | None = None,
         download: bool = False,
         device: str | torch.device = "auto",
     ) -> None:
         super().__init__(target)
-        if variant not in VARIANTS:
-            raise OptionError(f"lpips has the variants {', '.join(VARIANTS)}, not {variant!r}")
-        self.name = "lpips" if variant == "alex" else f"lpips:{variant}"
-        self._variant = chosen = VARIANTS[variant]
-        height, width, small = *self.target.shape[:2], chosen.smallest
-        if min(height, width) < small:
+        height, width, _ = self.target.shape
+        if min(height, width) < SMALLEST:
             raise ImageError(
-                f"lpips with {variant!r} needs images of at least {small} x {small} pixels, got "
+                f"lpips needs images of at least {SMALLEST} x {SMALLEST} pixels, got "
                 f"{height} x {width} (H x W); enlarge them, or use the loss 'perceptual'"
             )
         self._device = resolve_device(device)
-        how = (
-            f"; losses.make('lpips:{variant}', target, download=True) fetches both of its files "
-            f"once, the network's from {chosen.architecture.published.url}, losses.make(..., "
-            "weights=PATH, heads=PATH) reads files of yours, and the loss 'perceptual' needs none"
-        )
-        network = backbones.load(chosen.architecture, weights, download=download, how=how)
-        read = _read_heads(variant, chosen, heads, download, how)
-        self.version = f"lpips-2-{variant}-{digest(network, read)}"
+        network = backbones.load(backbones.ALEXNET, weights, download=download, how=_HOW)
+        read = _read_heads(heads, download)
+        self.version = f"lpips-2-alex-{digest(network, read)}"
         self._network = network.to(self._device)
         self._heads = [head.to(self._device) for head in read.state_dict().values()]
         self._shift = torch.tensor(SHIFT, dtype=torch.float32, device=self._device)
@@ -140,7 +116,7 @@ class LPIPSLoss(LossOfTarget):
     def _features(self, images: Tensor) -> list[Tensor]:
         """Activations of each layer for images (n, H, W, 3), of unit length over the channels."""
         seen = (2 * images - 1 - self._shift) / self._scale
-        layers = self._network.taps(seen.permute(0, 3, 1, 2).contiguous(), self._variant.layers)
+        layers = self._network.taps(seen.permute(0, 3, 1, 2).contiguous(), LAYERS)
         return [y / (y.square().sum(dim=1, keepdim=True).sqrt() + _TINY) for y in layers]
 
     @user_threads
@@ -155,26 +131,21 @@ class LPIPSLoss(LossOfTarget):
 class _Heads(nn.Module):
     """The w_l, with the names of their file: lin0.model.1.weight, (1, C, 1, 1)."""
 
-    def __init__(self, channels: Sequence[int]) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        for i, c in enumerate(channels):
+        for i, c in enumerate(CHANNELS):
             head = nn.Sequential(nn.Identity(), nn.Conv2d(c, 1, 1, bias=False))
             self.add_module(f"lin{i}", nn.ModuleDict({"model": head}))
 
 
-def _read_heads(
-    name: str, variant: Variant, given: str | os.PathLike[str] | None, download: bool, how: str
-) -> _Heads:
+def _read_heads(given: str | os.PathLike[str] | None, download: bool) -> _Heads:
     """Read the w_l, (1, C, 1, 1) each, also from the package `lpips`, which is not imported."""
-    published = Published(
-        f"LPIPS 0.1 ({name})", f"lpips-v0.1-{name}.pth", f"{_URL}{name}.pth", variant.sha256
-    )
     package = find_spec("lpips")
-    places = (package.submodule_search_locations if package else None) or []
-    others = [Path(place, "weights", "v0.1", f"{name}.pth") for place in places]
-    path = published.find(given, others=others, download=download, how=how)
+    places: Sequence[str] = (package.submodule_search_locations if package else None) or []
+    others = [Path(place, "weights", "v0.1", "alex.pth") for place in places]
+    path = _HEADS.find(given, others=others, download=download, how=_HOW)
     with torch.device("meta"):
-        heads = _Heads(variant.channels)
+        heads = _Heads()
     weights_module.fill(heads, weights_module.read(path), path)
     for key, head in heads.state_dict().items():
         if (head < 0).any():

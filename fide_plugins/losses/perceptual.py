@@ -1,14 +1,8 @@
-"""The `perceptual` loss: multi-scale structure and color, without weights.
+"""The `perceptual` loss: multi-scale structure and color, robust against Monte Carlo noise.
 
-Local structure relative to local contrast at four scales, and coarse colors.  Averages over areas,
-a lower limit of the contrast, and an estimate of the noise make it robust against Monte Carlo
-noise.
-
-Definition
-----------
 v_l      image in opponent colors (Y, Cb, Cr), averaged with Gaussians whose width is their spacing,
          sqrt(H W) 2^l / 56, for l = 0..3; coarser scales average the samples of the finest one
-w_l      grain: the same averages of the image times a checkerboard, +1 and -1 at neighboring pixels
+w_l      the same averages of the image times a checkerboard, +1 and -1 at neighboring pixels
 g_l, h_l differences of neighboring samples of v_l and w_l, right and down, all three colors (six)
 M        local mean: Gaussian of 2 samples width, at every second sample
 (a)_b    a, but not less than b / 10
@@ -17,17 +11,10 @@ M        local mean: Gaussian of 2 samples width, at every second sample
                             / (M |g_l|^2 + M |g'_l|^2 + c)
            + 4 (mean |v_3 - v'_3|^2 - mean |w_3 - w'_3|^2)_(mean |v_3 - v'_3|^2)
 
-with g', h', v', w' of the target, and c = 0.001, the square of a contrast typical of noise.
-Each fraction lies in [0, 2]: 1 where structure is missing or unrelated, 2 where it is inverted.
-
-The subtracted terms: noise that is independent between pixels has the same statistics on a
-checkerboard.  So on average it adds as much to |h - h'|^2 as to |g - g'|^2, while structures wider
-than a pixel add almost nothing to |h - h'|^2.  The difference removes the noise from the mean of
-the loss.  Averages over few pixels do not separate the two well, so below 84 x 84 pixels nothing is
-subtracted.
-
-A regular pattern that alternates from pixel to pixel, as of dithering, counts as noise, too, and
-hides up to nine tenths of a difference; turn dithering off, or use `loi`.
+with g', h', v', w' of the target, and c = 0.001, the square of a contrast typical of noise.  The
+subtracted terms: noise that is independent between pixels has the same statistics on a
+checkerboard, where structures wider than a pixel add almost nothing.  Below 84 x 84 pixels nothing
+is subtracted.
 """
 
 from __future__ import annotations
@@ -54,17 +41,14 @@ OPPONENT = np.array(
     [[0.299, 0.587, 0.114], [-0.168736, -0.331264, 0.5], [0.5, -0.418688, -0.081312]], np.float32
 )
 FINEST = 1 / 56  # spacing of the finest samples, relative to sqrt(H W)
-GRAIN_FROM = 1.5  # least spacing of the finest samples, in pixels, for which noise is subtracted
+NOISE_FROM = 1.5  # least spacing of the finest samples, in pixels, for which noise is subtracted
 
 Weights = tuple[Any, Any]  # weights of samples along both axes
 
 
 @dataclass(frozen=True)
 class _Level:
-    """Weights of samples and of local means along both axes, in the order of the arrays.
-
-    The finest level averages pixels, the others average the samples of the finest level.
-    """
+    """Weights of samples and of local means along both axes, in the order of the arrays."""
 
     samples: Weights
     local: Weights
@@ -72,12 +56,7 @@ class _Level:
 
 @dataclass(frozen=True)
 class _Structure:
-    """Features of one image at one scale; k = 2 for picture and grain, 1 for the picture only.
-
-    colors: [a, k, 3, b] opponent colors of a x b samples
-    gradient: [a, k, 6, b] their differences along both axes
-    energy: [a, 1, b] squared length of the picture's gradient
-    """
+    """Features of one image at one scale; k = 2 with the checkerboard."""
 
     colors: Float32
     gradient: Float32
@@ -94,8 +73,8 @@ class PerceptualLoss(LossOfTarget):
         super().__init__(target)
         height, width, _ = self.target.shape
         self.levels = _levels(height, width)
-        self.samplers = [self.levels[0].samples]  # of picture and grain
-        if FINEST * sqrt(height * width) >= GRAIN_FROM:
+        self.samplers = [self.levels[0].samples]  # of picture and checkerboard
+        if FINEST * sqrt(height * width) >= NOISE_FROM:
             self.samplers.append(_on_checkerboard(self.levels[0].samples))
         self._structure = self._features(self.target)
 
@@ -171,7 +150,7 @@ def _sum_of_squares(gradient: Float32) -> Float32:
 
 
 def _without_noise(squares: Any) -> Any:
-    """Squares of the picture minus those of the grain, from (..., k); at least a tenth of them."""
+    """Squares of the picture minus those of the checkerboard, from (..., k), or a tenth."""
     if squares.shape[-1] == 1:
         return squares[..., 0]
     return np.maximum(squares[..., 0] - squares[..., 1], LEAST * squares[..., 0])

@@ -19,14 +19,13 @@ from fide_plugins.runtime.schema import Schema, array, check, row, whole
 from fide_plugins.types import Float64, Mask
 
 _LOST = 2  # generations' worth of spare candidates told, after which members count as lost
-_MOST_PENDING = 20_000  # candidates; or twice as many as were asked at once, if that is more
 _LATE = 3  # times as late as the latest result of late, from which on no result is expected
 _ZERO = np.float32(0.0)
 _SCHEMA: dict[str, Schema] = {
     **dict.fromkeys(
         (
             "size", "drawn", "generations", "generation_from", "withdrawn", "reserved_from",
-            "most_pending", "newest",
+            "newest",
         ),
         whole(),
     ),
@@ -62,7 +61,6 @@ class Population:
         self._queue: deque[Candidate] = deque()  # drawn, not handed out
         self._pending: dict[int, Candidate] = {}  # handed out, not told, by index
         self._by_point: dict[bytes, list[Candidate]] = {}  # the same, by their points
-        self._most_pending = _MOST_PENDING
         self._newest = 0  # highest index handed out
         self._delays = (0, 0)  # by how much more than a generation a result was late: now, before
         self._members: list[tuple[Candidate, float]] = []  # told in the present generation
@@ -116,13 +114,9 @@ class Population:
 
     def add_proposals(self, x: Float64, z: Float64) -> None:
         """Queue proposals x (m, d) with their z (m, d), made from the first reserved samples."""
-        for point, near in zip(x, z, strict=True):
-            self._queue.append(Candidate(self._take_reserved(), point, near, proposed=True))
-
-    def _take_reserved(self) -> int:
-        """Index of the next reserved candidate, which is reserved no more."""
-        self.reserved, self._reserved_from = self.reserved[1:], self._reserved_from + 1
-        return self._reserved_from - 1
+        for i, (point, near) in enumerate(zip(x, z, strict=True), self._reserved_from):
+            self._queue.append(Candidate(i, point, near, proposed=True))
+        self.reserved, self._reserved_from = self.reserved[len(x) :], self._reserved_from + len(x)
 
     def proposed(self, first: int, n: int) -> Mask:
         """Which of n candidates of those that remain are proposals, (n,), from the first on."""
@@ -136,17 +130,11 @@ class Population:
         proposed: (m,), whether each is a proposal.
         """
         for i, (point, drawn, made) in enumerate(zip(x, z, proposed, strict=True), first):
-            queued = i < len(self._queue)
-            index = self._queue[i].index if queued else self._take_reserved()
+            if i == len(self._queue):  # the next one that is reserved
+                self.add_proposals(point[None], drawn[None])
+            index = self._queue[i].index
             other = Candidate(index, point, drawn, proposed=bool(made), off_distribution=True)
-            if queued:
-                self._queue[i] = other
-            else:
-                self._queue.append(other)
-
-    def expect(self, n: int) -> None:
-        """Prepare for n candidates that are asked at once: all of them may be pending."""
-        self._most_pending = max(self._most_pending, 2 * max(n, self.size))
+            self._queue[i] = other
 
     def hand_out(self) -> Candidate:
         """Next candidate of the queue."""
@@ -175,7 +163,7 @@ class Population:
 
     @property
     def pending(self) -> int:
-        """Candidates that were handed out and not yet told; of very many, the latest."""
+        """Candidates that were handed out and not yet told."""
         return len(self._pending)
 
     @property
@@ -194,14 +182,9 @@ class Population:
         return bool(self._by_point.get(_key(x)))
 
     def _add_pending(self, candidate: Candidate) -> None:
-        self._note_pending(candidate)
-        self._newest = max(self._newest, candidate.index)
-        if len(self._pending) > self._most_pending:  # the oldest is given up
-            self._pop_pending(_key(next(iter(self._pending.values())).x), 0)
-
-    def _note_pending(self, candidate: Candidate) -> None:
         self._pending[candidate.index] = candidate
         self._by_point.setdefault(_key(candidate.x), []).append(candidate)
+        self._newest = max(self._newest, candidate.index)
 
     def take(self, x: Float64) -> Candidate | None:
         """Take x (d,) from the pending candidates; returns it, or None if it is not pending.
@@ -212,15 +195,14 @@ class Population:
         waiting = self._by_point.get(key)
         if not waiting:
             return None
-        if len(waiting) == 1:
-            return self._pop_pending(key, 0)
-        unlike = [(not np.array_equal(c.x, x), c.role is not CandidateRole.SPARE) for c in waiting]
-        return self._pop_pending(key, unlike.index(min(unlike)))
-
-    def _pop_pending(self, key: bytes, which: int) -> Candidate:
-        candidate = self._by_point[key].pop(which)
+        which = 0
+        if len(waiting) > 1:
+            spare = CandidateRole.SPARE
+            unlike = [(not np.array_equal(c.x, x), c.role is not spare) for c in waiting]
+            which = unlike.index(min(unlike))
+        candidate = waiting.pop(which)
         del self._pending[candidate.index]
-        if not self._by_point[key]:
+        if not waiting:
             del self._by_point[key]
         return candidate
 
@@ -318,7 +300,7 @@ class Population:
                 setattr(made, _attribute(name), value)
         made._queue.extend(unpack(state["queue"]))
         for candidate in unpack(state["pending"]):
-            made._note_pending(candidate)
+            made._add_pending(candidate)
         made._delays = (*state["delays"],)
         made._members = _with_losses(state["members"], state["losses"])
         made._spare = _with_losses(state["spare"], state["spare_losses"])

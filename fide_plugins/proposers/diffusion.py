@@ -6,6 +6,7 @@ Nothing in this module knows the search, the renderer or the loss.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from functools import partial
 from typing import Any
 
@@ -16,7 +17,6 @@ from torch import Tensor
 from fide_plugins.denoiser.network import ParameterTransformer, full_precision
 from fide_plugins.denoiser.sampling import euler, x_prediction
 from fide_plugins.denoiser.training import (
-    Backup,
     Objective,
     Preconditioner,
     XLoss,
@@ -26,7 +26,7 @@ from fide_plugins.denoiser.training import (
     load_adam_state,
 )
 from fide_plugins.errors import OptionError
-from fide_plugins.options import NetworkOptions
+from fide_plugins.options import Options
 from fide_plugins.proposers.base import Proposer
 from fide_plugins.runtime.devices import BatchSize, resolve_device
 from fide_plugins.runtime.messages import warn_user
@@ -45,7 +45,7 @@ from fide_plugins.runtime.threads import user_threads
 from fide_plugins.types import Float64
 from fide_plugins.validation.options import check_schedule
 
-_DEFAULTS = NetworkOptions()
+_DEFAULTS = Options()
 MOST_PROPOSALS = 4096  # that are denoised together
 
 
@@ -136,7 +136,8 @@ class DiffusionProposer(Proposer):
         for group in optimizer.param_groups:
             group["lr"] = rate
         network.train()
-        before, noise_before = Backup(network, optimizer), self._generator.get_state()
+        before = deepcopy((network.state_dict(), optimizer.state_dict()))
+        noise_before = self._generator.get_state()
         try:
             with full_precision(self.device):
                 history = fit(
@@ -153,11 +154,13 @@ class DiffusionProposer(Proposer):
                 )
             diverged = not all_finite(network)
         except BaseException:
-            before.restore()
+            network.load_state_dict(before[0])
+            optimizer.load_state_dict(before[1])
             self._generator.set_state(noise_before)
             raise
         if diverged:
-            before.restore()
+            network.load_state_dict(before[0])
+            optimizer.load_state_dict(before[1])
             if not self._warned:
                 self._warned = True
                 warn_user(

@@ -51,9 +51,9 @@ class ImageGate(Stateful):
         self, options: Options, channel_subsets: tuple[int | None, ...], *, known: bool = False
     ) -> None:
         self.guarded = options.guard_images
-        self._rate = options.proposal.fraction_rate
+        self._rate = options.fraction_rate
         self._channel_subsets = channel_subsets
-        self.fraction = options.proposal.proposal_fraction
+        self.fraction = options.proposal_fraction
         self._sum = 0.0
         self._variance = 0.0  # of the sum, if images said nothing
         self._recent, self._weight = 0.0, 0.0  # sums of c n rho and c n, over a short memory

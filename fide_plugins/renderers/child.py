@@ -8,17 +8,13 @@ import signal
 import subprocess
 import tempfile
 import threading
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing import parent_process
 from pathlib import Path
-from typing import IO
 
 _SHOWN, _MOST = 20, 4000  # last lines of the output that an error shows; characters of them
-_LONGEST = 2**24  # bytes of output, beyond which its file begins again
-_LOOK = 0.1  # seconds between two looks at its length
 _RUNNING: set[subprocess.Popen[bytes]] = set()  # in groups of their own
 
 
@@ -35,15 +31,14 @@ class Ended:
 
 
 def run(command: Sequence[str], log: Path, timeout: float | None) -> Ended:
-    """Run a program in the current folder, the end of its output in the file `log`.
+    """Run a program in the current folder, its output in the file `log`.
 
     All it has started is stopped with it: after `timeout` seconds, when this process is
     interrupted, or when it ends while a thread waits.  So the program gets a process group of its
     own; but in a worker process that leads one, it stays in that: who kills the worker kills it.
     """
-    log.unlink(missing_ok=True)
-    leads = _is_leader()
-    with log.open("a+b", buffering=0) as output:  # "a": after `_shorten`, too, it goes to the end
+    leads, late = _is_leader(), threading.Event()
+    with log.open("wb") as output:
         child = subprocess.Popen(
             command,
             stdin=subprocess.DEVNULL,
@@ -51,54 +46,26 @@ def run(command: Sequence[str], log: Path, timeout: float | None) -> Ended:
             stderr=subprocess.STDOUT,
             start_new_session=os.name == "posix" and not leads,
         )
-        watch = _Watch(child, output, timeout, leads)
-        try:
-            watch.thread.start()
-            code = child.wait()  # `wait` with a limit notices the end late
-        finally:
-            watch.over.set()
-            if child.returncode is None or (watch.is_late and leads):
-                _stop(child, leads)
-            _RUNNING.discard(child)
-            if watch.thread.ident is not None:  # a signal may have come before its start
-                watch.thread.join()
-    return Ended(None if watch.is_late else code, tail_of(log))
+    if not leads:
+        _RUNNING.add(child)
 
+    def stop() -> None:
+        if child.returncode is None:
+            late.set()
+            with suppress(OSError):
+                child.kill() if leads else _kill(child)
 
-class _Watch:
-    """A thread that stops a program after its time, and keeps its output short."""
-
-    def __init__(
-        self, child: subprocess.Popen[bytes], output: IO[bytes], timeout: float | None, leads: bool
-    ) -> None:
-        self.over, self.is_late = threading.Event(), False
-        self.thread = threading.Thread(target=self._run, name="fide-program", daemon=True)
-        self._child, self._output, self._leads = child, output, leads
-        self._until = None if timeout is None else time.monotonic() + timeout
-        if not leads:
-            _RUNNING.add(child)
-
-    def _run(self) -> None:
-        while True:
-            left = _LOOK if self._until is None else self._until - time.monotonic()
-            if self.over.wait(max(0.0, min(_LOOK, left))):
-                return
-            late = self._until is not None and time.monotonic() >= self._until
-            if late and self._child.returncode is None:
-                self.is_late = True
-                with suppress(OSError):
-                    self._child.kill() if self._leads else _kill(self._child)
-                return
-            with suppress(OSError):  # on a disk that is full already
-                self._shorten()
-
-    def _shorten(self) -> None:
-        length = os.fstat(self._output.fileno()).st_size
-        if length > _LONGEST:
-            self._output.seek(length - _MOST)
-            end = self._output.read(_MOST)
-            self._output.truncate(0)
-            self._output.write(end)
+    timer = threading.Timer(threading.TIMEOUT_MAX if timeout is None else timeout, stop)
+    timer.daemon = True
+    try:
+        timer.start()
+        code = child.wait()  # `wait` with a limit notices the end late
+    finally:
+        timer.cancel()
+        if child.returncode is None or (late.is_set() and leads):
+            _stop(child, leads)
+        _RUNNING.discard(child)
+    return Ended(None if late.is_set() else code, tail_of(log))
 
 
 @atexit.register

@@ -34,6 +34,7 @@ import numpy as np
 
 from fide_plugins.errors import ImageError, OptionError, RenderError
 from fide_plugins.renderers.child import folder_of_a_render, run, tail_of
+from fide_plugins.renderers.keywords import DEFAULTS
 from fide_plugins.renderers.naming import described, flat
 from fide_plugins.runtime.registry import of_bytes
 from fide_plugins.space import Choice, Space
@@ -44,8 +45,6 @@ from fide_plugins.validation.pixels import Pixels
 
 TIMEOUT = 60.0
 """Seconds that a render may take, where none are given."""
-SIZE, SAMPLES = (128, 128), 16
-"""Of ``{height} {width}`` and ``{samples}``, where nothing decides: outside of a fit."""
 FINE = ("width", "height", "samples", "seed")
 """Placeholders that say how fine an image is to be, unless the space has such a parameter."""
 
@@ -97,8 +96,8 @@ class CommandRenderer:
         self,
         params: Mapping[str, Any],
         *,
-        size: tuple[int, int] = SIZE,
-        samples: int = SAMPLES,
+        size: tuple[int, int] = DEFAULTS["size"],
+        samples: int = DEFAULTS["samples"],
         seed: int = 0,
     ) -> Pixels | list[Pixels]:
         """Image (H, W, 3), float32, of the parameters, or one for each view.

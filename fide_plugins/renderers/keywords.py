@@ -6,9 +6,16 @@ from collections.abc import Callable
 from inspect import Parameter, signature
 from typing import Any
 
-__all__ = ["KEYWORDS", "keywords_of"]
+__all__ = ["DEFAULTS", "keywords_of", "missing_from"]
 
-KEYWORDS = ("size", "samples", "seed")
+DEFAULTS: dict[str, Any] = {"size": (128, 128), "samples": 16, "seed": 0}
+"""Outside of a fit, where the renderer has no default of its own."""
+KEYWORDS = tuple(DEFAULTS)
+
+
+def missing_from(keywords: dict[str, Any]) -> dict[str, Any]:
+    """`DEFAULTS` of the keywords, as `keywords_of` has them, that have no default."""
+    return {name: DEFAULTS[name] for name, one in keywords.items() if one is Parameter.empty}
 
 
 def keywords_of(render: Callable[..., Any], *, declared: bool = False) -> dict[str, Any]:

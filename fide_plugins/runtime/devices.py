@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import torch
@@ -86,28 +86,14 @@ _OF_GPU = ("out of memory", "ALLOC_FAILED")
 
 def is_out_of_memory(error: BaseException) -> bool:
     """Whether an error means that a device or the CPU has too little memory."""
-    return isinstance(error, MemoryError) or is_out_of_gpu_memory(error) or _says(error, _OF_CPU)
+    said = isinstance(error, RuntimeError) and any(text in str(error) for text in _OF_CPU)
+    return isinstance(error, MemoryError) or said or is_out_of_gpu_memory(error)
 
 
 def is_out_of_gpu_memory(error: BaseException) -> bool:
     """Whether an error means that a GPU has too little memory."""
-    if isinstance(error, torch.OutOfMemoryError):
-        return True
-    return _says(error, _OF_GPU) and not _says(error, _OF_CPU)
-
-
-def _says(error: BaseException, texts: tuple[str, ...]) -> bool:
-    return isinstance(error, RuntimeError) and any(text in str(error) for text in texts)
-
-
-def stack(tensors: Sequence[Tensor]) -> Tensor:
-    """`torch.stack`; on the CPU if the device has too little memory for the result."""
-    try:
-        return torch.stack(list(tensors))
-    except RuntimeError as error:
-        if not is_out_of_memory(error):
-            raise
-    return torch.stack([tensor.cpu() for tensor in tensors])
+    said = isinstance(error, RuntimeError) and any(text in str(error) for text in _OF_GPU)
+    return isinstance(error, torch.OutOfMemoryError) or said
 
 
 class BatchSize:
@@ -139,21 +125,18 @@ class BatchSize:
                     remedy = "device='cpu', or smaller images"
                     error.add_note(f"the memory is too small for one of the {self.what}: {remedy}")
                     raise
+                self.size = (end - start) // 2
             else:
                 start = end
                 continue
-            self._shrink((end - start) // 2)  # only here: the exception has released its memory
-
-    def _shrink(self, size: int) -> None:
-        self.size = size
-        if torch.cuda.is_available():
-            torch.cuda.empty_cache()
-        if not self._warned:
-            self._warned = True
-            warn_user(
-                f"the device's memory is too small for so many {self.what} at once; "
-                f"from now on {size}"
-            )
+            if torch.cuda.is_available():
+                torch.cuda.empty_cache()  # only here: the exception has released its memory
+            if not self._warned:
+                self._warned = True
+                warn_user(
+                    f"the device's memory is too small for so many {self.what} at once; "
+                    f"from now on {self.size}"
+                )
 
 
 # -- batches of a fixed size -----------------------------------------------------------------------

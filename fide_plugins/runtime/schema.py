@@ -129,9 +129,8 @@ def whole(low: int = 0, high: int = 2**63) -> Rule:
 
 def real(low: float = -_LARGEST, high: float = _LARGEST) -> Rule:
     """A number within [low, high]."""
-    return _rule(
-        lambda v: _is_number(v, int | float, low, high), f"is no number in [{low}, {high}]"
-    )
+    otherwise = f"is no number in [{low}, {high}]"
+    return _rule(lambda v: _is_number(v, int | float, low, high), otherwise)
 
 
 def anything(value: Any, place: str, sides: Sides) -> None:
@@ -225,8 +224,7 @@ def table(schema: Schema) -> Rule:
 
     def rule(value: Any, place: str, sides: Sides) -> None:
         _demand(isinstance(value, dict), place, "is no dict")
-        for name, entry in value.items():
-            check(entry, schema, sides, f"{place}[{name!r}]")
+        check(value, dict.fromkeys(value, schema), sides, place)
 
     return rule
 

@@ -1,13 +1,9 @@
 """Threads: how many compute, locks, and what a fork leaves of them.
 
-Most of what FIDE computes is small, and several threads do it more slowly than one.  So the small
-parts compute in one thread, within `one_thread`; networks, and functions of the user's, in as many
-threads as the user has set, within `user_threads`.  A run without a network is the same, bit for
-bit, whatever number of threads is set.  OpenMP and MKL have one setting for each thread.  OpenBLAS
-has one for the process: the first thread that enters limits it, the last one that leaves restores.
-
-A forked process has one thread only.  OpenMP's would be waited for for ever, so `user_threads` is
-one thread there, and a `Lock` is free.
+The small parts compute in one thread, within `one_thread`; networks, and functions of the user's,
+in as many as the user has set, within `user_threads`.  OpenMP and MKL have one setting for each
+thread.  OpenBLAS has one for the process: the first thread that enters limits it, the last one that
+leaves restores.  In a forked process `user_threads` is one thread, and a `Lock` is free.
 """
 
 from __future__ import annotations
@@ -35,29 +31,26 @@ class _Pool(NamedTuple):
     restore: Callable[[int], object]
 
 
-class _Pools(NamedTuple):
-    """Those of all libraries that are loaded."""
-
-    loaded: tuple[bool, ...] = ()
-    by_thread: tuple[_Pool, ...] = ()
-    by_process: tuple[_Pool, ...] = ()
+_Limited = tuple[tuple[_Pool, int], ...]
 
 
 class _Thread(threading.local):
     """State of the calling thread."""
 
     depth = 0  # how many blocks of `one_thread` it is in
-    before: tuple[tuple[_Pool, int], ...] = ()
+    before: _Limited = ()
     outer: tuple[int, ...] = ()  # depths that it had when it entered blocks of `user_threads`
 
 
 class _Process:
-    """State that all threads share."""
+    """State that all threads share: the libraries that are loaded, and their threads."""
 
     lock = threading.Lock()
-    pools = _Pools()
+    loaded: tuple[bool, ...] = ()
+    by_thread: tuple[_Pool, ...] = ()
+    by_process: tuple[_Pool, ...] = ()
     inside = 0  # threads that compute in one thread
-    before: tuple[tuple[_Pool, int], ...] = ()
+    before: _Limited = ()
     forked = False
 
 
@@ -106,11 +99,15 @@ user_threads = _UserThreads()
 
 
 def _limit() -> None:
-    pools = _pools()
-    _THREAD.before = tuple((pool, pool.limit()) for pool in pools.by_thread)
+    loaded = tuple(name in sys.modules for name in _LIBRARIES)
+    if loaded != _PROCESS.loaded:  # to look for them takes milliseconds
+        _find(loaded)
+    if loaded[-1]:
+        sys.modules["torch"].get_num_threads()  # a thread's first question sets OpenMP's number
+    _THREAD.before = tuple((pool, pool.limit()) for pool in _PROCESS.by_thread)
     with _PROCESS.lock:
         if _PROCESS.inside == 0:
-            _PROCESS.before = tuple((pool, pool.limit()) for pool in pools.by_process)
+            _PROCESS.before = tuple((pool, pool.limit()) for pool in _PROCESS.by_process)
         _PROCESS.inside += 1
 
 
@@ -131,33 +128,23 @@ def _put_back(state: _Thread | _Process) -> None:
 # -- the libraries ---------------------------------------------------------------------------------
 
 
-def _pools() -> _Pools:
-    """Look for them (which takes milliseconds) only when another library was imported."""
-    loaded = tuple(name in sys.modules for name in _LIBRARIES)
-    if loaded != _PROCESS.pools.loaded:
-        _PROCESS.pools = _find(loaded)
-    if loaded[-1]:
-        sys.modules["torch"].get_num_threads()  # a thread's first question sets OpenMP's number
-    return _PROCESS.pools
-
-
-def _find(loaded: tuple[bool, ...]) -> _Pools:
+def _find(loaded: tuple[bool, ...]) -> None:
     from threadpoolctl import ThreadpoolController
 
     by_thread, by_process = _mkl_of_torch(), []
     for library in ThreadpoolController().lib_controllers:
         functions, kind = library.dynlib, library.internal_api
         if kind == "openmp":
-            by_thread.append(
-                _numbered(functions.omp_get_max_threads, functions.omp_set_num_threads)
-            )
+            pool = _numbered(functions.omp_get_max_threads, functions.omp_set_num_threads)
+            by_thread.append(pool)
         elif kind == "mkl":
             by_thread.append(_mkl(functions))
         elif kind == "openblas":
             by_process += _openblas(library)
         else:
             by_process.append(_numbered(library.get_num_threads, library.set_num_threads))
-    return _Pools(loaded, tuple(by_thread), tuple(by_process))
+    _PROCESS.by_thread, _PROCESS.by_process = tuple(by_thread), tuple(by_process)
+    _PROCESS.loaded = loaded
 
 
 def _numbered(get: Callable[[], int], put: Callable[[int], object]) -> _Pool:
@@ -188,10 +175,7 @@ def _mkl_of_torch() -> list[_Pool]:
 
 
 def _openblas(library: Any) -> list[_Pool]:
-    """OpenBLAS, by its own functions: through threadpoolctl, only one thread could set them.
-
-    With OpenMP's threads it follows OpenMP.  OpenCV's copy is left alone: FIDE has no use for it.
-    """
+    """OpenBLAS, by its own functions: through threadpoolctl, only one thread could set them."""
     if library.threading_layer == "openmp" or "opencv" in library.filepath:
         return []
     for before, after in _AFFIXES:

@@ -19,11 +19,11 @@ from fide_plugins.types import Float32, Float64
 __all__ = ["Descents"]
 
 _ROUNDS = (
-    (0.0125, 0.005, 6, "S"),
-    *((0.0125, 0.005, 6, kind) for kind in "JTT"),
-    *((0.0125, 0.004, 4, kind) for kind in "JTT"),
-    *((0.0, 0.003, 3, kind) for kind in "JTTT"),
-    *((0.0, 0.002, 2, kind) for kind in "JTT"),
+    (0.0125, 0.005, 3, "S"),
+    *((0.0125, 0.005, 3, kind) for kind in "JTT"),
+    *((0.0125, 0.004, 2, kind) for kind in "JTT"),
+    *((0.0, 0.003, 2, kind) for kind in "JTTT"),
+    *((0.0, 0.002, 1, kind) for kind in "JTT"),
 )
 """Blur in sides of the image, step of differences, descents, and what a round does: it selects
 starts (S), measures Jacobians (J) or tries steps (T)."""

@@ -120,6 +120,9 @@ _SCHEMA: dict[str, Schema] = {
     "rng": GENERATOR,
     "incumbent": maybe(form(TrainingSample)),
 }
+_MOVES = (
+    Split, HalfTurn, RelocateGroup, RelocateSegment, Coarsen, Refine, RandomRestart
+)  # fmt: skip
 _PARTS = ("optima", "exchangeability", "removal", "sensitivity", "values")  # of what is known
 _COST = 12.0  # generations that a move takes, roughly
 _CANDIDATES = 20  # restart candidates, at least
@@ -180,10 +183,7 @@ class MovePolicy:
         )
         self._candidates = max(_CANDIDATES, popsize)
         self._sets = bool(groups)
-        family: list[Move] = [
-            Split(), HalfTurn(), RelocateGroup(), RelocateSegment(), Coarsen(), Refine(),
-            RandomRestart(),
-        ]  # fmt: skip
+        family: list[Move] = [kind() for kind in _MOVES]
         if self.known.values.discrete.any():
             family.append(ChangeValue())
         self._moves = {move.name: move for move in family}

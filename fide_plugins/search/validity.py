@@ -11,7 +11,7 @@ from fide_plugins.search.cma_es import CMAES
 from fide_plugins.search.mixed import Mixed
 from fide_plugins.space import Space
 from fide_plugins.space.constraints import constraints_not_stored, constraints_of
-from fide_plugins.types import Float64, Indices, Mask
+from fide_plugins.types import Float64, Mask
 
 _ROUNDS = 200  # in which invalid samples are drawn again
 _REDRAWN = 20  # in which restart candidates are drawn
@@ -23,12 +23,17 @@ _REPAIRED = 5000  # points by which CMA-ES looks for a valid one
 _POPSIZE = 20
 
 
-def validity_of(space: Space | None, function: object, seed: int) -> Validity | None:
-    """Which points a run may render; arguments as of `FIDE`.  None: all."""
+def validity_of(
+    space: Space | None, function: object, seed: int, guess: Float64 | None
+) -> Validity | None:
+    """Which points a run may render; arguments as of `FIDE`.  None: all.
+
+    Raises OptionError (a ValueError), naming the constraints, if the guess (d,) is not valid.
+    """
     constraints = constraints_of(space, function)
     if constraints is None:
         return None
-    return Validity(
+    validity = Validity(
         constraints,
         constraints.explain,
         Mixed(None if space is None else space.layout).clipped,
@@ -36,6 +41,12 @@ def validity_of(space: Space | None, function: object, seed: int) -> Validity | 
         is_known=function is not constraints_not_stored,
         is_own=function is not None,
     )
+    if guess is not None and not validity.allows(guess):
+        raise OptionError(
+            f"x0 is not valid: it violates {constraints.explain(guess)}; give a valid one, or "
+            "leave it out: then the search begins at a valid point that it finds"
+        )
+    return validity
 
 
 class Validity:
@@ -86,14 +97,6 @@ class Validity:
         self.rejected += int((~valid).sum())
         return valid
 
-    def check_guess(self, x0: Float64) -> None:
-        """Raise OptionError (a ValueError), naming the constraints, if x0 (d,) is not valid."""
-        if not self.allows(x0):
-            raise OptionError(
-                f"x0 is not valid: it violates {self._explain(x0)}; give a valid one, or leave it "
-                "out: then the search begins at a valid point that it finds"
-            )
-
     def sample(
         self, draw: Callable[[int], tuple[Float64, Float64]], n: int
     ) -> tuple[Float64, Float64, Mask]:
@@ -115,23 +118,10 @@ class Validity:
 
         other: (d,), a valid point in place of anchors that are not valid.
         """
-        invalid = np.flatnonzero(~self._count(x))
-        if not len(invalid):
+        which = np.flatnonzero(~self._count(x))
+        if not len(which):
             return x
         anchors = np.where(self.of(anchors)[:, None], anchors, other)
-        return self._towards(x, anchors, invalid)
-
-    def at_nearest(self, x: Float64, which: Mask, other: Float64) -> Float64:
-        """Points x (n, d), of which those in `which` (n,) are invalid, moved back to the nearest.
-
-        other: (d,), a valid point for where none of x is.
-        """
-        valid = x[~which] if not which.all() else other[None]
-        distances = np.linalg.norm(x[:, None] - valid, axis=2)  # (n, valid)
-        return self._towards(x, valid[distances.argmin(axis=1)], np.flatnonzero(which))
-
-    def _towards(self, x: Float64, anchors: Float64, which: Indices) -> Float64:
-        """Points `which` of x (n, d) as far from their anchors (n, d) as is valid."""
         x, ends, anchors = x.copy(), x[which], anchors[which]
         good, bad = np.zeros((len(which), 1)), np.ones((len(which), 1))
         for _ in range(_HALVINGS):

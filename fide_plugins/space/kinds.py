@@ -1,19 +1,8 @@
 """What one parameter is: a number, a whole number, or one of several values.
 
-Every kind maps its values to numbers, and `layout` maps numbers to the cube:
-
-=======================  ======  ==================================================================
-kind                     axes    number of a value, and its place in the cube
-=======================  ======  ==================================================================
-Float                    1       the value; linear, or its logarithm
-Int, Float with a step   1       the value; n values are n equal cells of the axis (with log: equal
-                                 in the value, of an axis from log(low - 1/2) to log(high + 1/2))
-Choice of n >= 3         n       index of the value; the axis with the largest coordinate decides
-Choice of 2              1       0 or 1; two equal cells
-Choice of 1              0       a constant
-=======================  ======  ==================================================================
-
-A choice has one axis a value because its values have no order.
+Every kind maps its values to numbers, and `layout` maps numbers to the cube.  n whole numbers or
+steps are n equal cells of an axis (with log: equal in the value).  A choice of n > 2 values has n
+axes, of which the largest coordinate decides, since its values have no order; one of two has one.
 """
 
 from __future__ import annotations
@@ -83,14 +72,14 @@ class _Number:
         )
 
     @property
-    def _apart(self) -> float:
-        """Distance of two neighboring doubles where they are largest."""
-        return math.ulp(max(abs(self.low), abs(self.high)))
-
-    @property
     def _off_grid(self) -> float:
         """Part of a step by which a value may miss the grid: what rounding its digits can do."""
         return 0.0 if self.step is None else max(_OFF_GRID, 2 * self._apart / self.step)
+
+    @property
+    def _apart(self) -> float:
+        """Distance of two neighboring doubles where they are largest."""
+        return math.ulp(max(abs(self.low), abs(self.high)))
 
     def _convert(
         self, convert: Callable[[Any], float | None], most: float, rule: str, *names: str
@@ -108,35 +97,25 @@ class _Number:
 
     def _check(self) -> None:
         """Raise SpaceError unless the range can be searched."""
-        low, high, step, log = self.low, self.high, self.step, self.log
-        self._require(
-            self.unit is None or isinstance(self.unit, str), 'unit must be a text, such as "deg"'
-        )
-        self._require(isinstance(log, bool), "log must be true or false, without quotes")
-        self._require(
-            low < high, "low must be less than high; swap them, or use Choice for a constant"
-        )
-        self._require(
-            not log or (low > 0 and math.log(low) < math.log(high)),
-            "the logarithm needs low > 0, and ends that differ in it; raise low, or drop log",
-        )
+        low, high, step, log, require = self.low, self.high, self.step, self.log, self._require
+        require(self.unit is None or isinstance(self.unit, str), 'unit must be a text, as "deg"')
+        require(isinstance(log, bool), "log must be true or false, without quotes")
+        require(low < high, "low must be less than high; swap them, or use Choice for a constant")
+        rule = "the logarithm needs low > 0, and ends that differ in it; raise low, or drop log"
+        require(not log or (low > 0 and math.log(low) < math.log(high)), rule)
         half = 0 if step is None else step / 2
-        self._require(
-            math.isfinite((high + half) - (low - half)),
-            "high - low and a step must be finite; take a narrower range",
-        )
+        rule = "high - low and a step must be finite; take a narrower range"
+        require(math.isfinite((high + half) - (low - half)), rule)
         if step is None:
             return
-        self._require(
-            0 < step <= (high - low) * (1 + abs(self._off_grid)),
-            "step must lie in (0, high - low]; take another one, or leave it out",
-        )
-        self._require(
-            (high - low) / step < _MOST_CELLS
-            and (isinstance(step, int) or step >= _LEAST_STEP * self._apart),
+        rule = "step must lie in (0, high - low]; take another one, or leave it out"
+        require(0 < step <= (high - low) * (1 + abs(self._off_grid)), rule)
+        rule = (
             "there may be at most 2^40 values, with steps 16 times as wide as doubles are apart "
-            "there; take a wider step, or a narrower range near 0",
+            "there; take a wider step, or a narrower range near 0"
         )
+        wide = isinstance(step, int) or step >= _LEAST_STEP * self._apart
+        require((high - low) / step < _MOST_CELLS and wide, rule)
         steps = math.floor((high - low) / step + self._off_grid)
         object.__setattr__(self, "high", min(high, low + steps * step))
 
@@ -164,13 +143,10 @@ class Float(_Number):
     def __post_init__(self) -> None:
         names = ("low", "high") if self.step is None else ("low", "high", "step")
         self._convert(as_real, sys.float_info.max, "a finite number", *names)
-        self._require(
-            isinstance(self.periodic, bool), "periodic must be true or false, without quotes"
-        )
-        self._require(
-            [bool(self.log), self.periodic, self.step is not None].count(True) <= 1,
-            "log, periodic and step do not go together; drop all but one",
-        )
+        rule = "periodic must be true or false, without quotes"
+        self._require(isinstance(self.periodic, bool), rule)
+        rule = "log, periodic and step do not go together; drop all but one"
+        self._require([bool(self.log), self.periodic, self.step is not None].count(True) <= 1, rule)
         self._check()
 
     def value(self, number: float) -> float:
@@ -198,10 +174,8 @@ class Int(_Number):
     def __post_init__(self) -> None:
         rule = "a whole number of at most 2^44 (Float takes real numbers)"
         self._convert(as_whole, _LARGEST_INT, rule, "low", "high", "step")
-        self._require(
-            not self.log or self.step == 1,
-            f"the logarithm needs step 1, not {self.step}; drop one of them",
-        )
+        rule = f"the logarithm needs step 1, not {self.step}; drop one of them"
+        self._require(not self.log or self.step == 1, rule)
         self._check()
 
     @property

@@ -1,13 +1,8 @@
 """A space of named parameters: dictionaries of physical values <-> points of the unit cube.
 
-As plain data, for JSON and TOML:
-
-    {"azimuth": {"type": "float", "low": -60.0, "high": 60.0, "unit": "deg", "periodic": true},
-     "floor": {"type": "choice", "values": ["checker", "wood"]},
-     "beads": {"repeat": 6, "x": {"type": "float", "low": 0.0, "high": 1.0}}}
-
-What has a key besides tables and "repeat" is a parameter, all else is a group.  Without a "type" it
-is a choice if it has "values", and else a float.  Keys that are as by default are left out.
+As plain data, for JSON and TOML: {"azimuth": {"type": "float", "low": -60.0, "high": 60.0},
+"beads": {"repeat": 6, "x": {...}}}.  What has a key besides tables and "repeat" is a parameter, all
+else is a group.  Without a "type" it is a choice if it has "values", and else a float.
 """
 
 from __future__ import annotations
@@ -21,7 +16,8 @@ from typing import Any, NamedTuple, Self, TypeAlias
 import numpy as np
 
 from fide_plugins.errors import SpaceError, did_you_mean
-from fide_plugins.space.constraints import Expression
+from fide_plugins.runtime.files import read_regular
+from fide_plugins.space.constraints import Expression, sample_of
 from fide_plugins.space.kinds import Choice, Float, Int, Kind
 from fide_plugins.space.layout import Layout
 from fide_plugins.types import Float64, Mask
@@ -224,9 +220,9 @@ class Space(_Constant):
             _expressions=expressions,
             _key=(*checked.items(), expressions),
         )
-        kinds = _nested(checked, iter([leaf.kind for leaf in found]))
+        sample = _nested(checked, iter([sample_of(leaf.kind) for leaf in found]))
         for expression in expressions:
-            expression.check(kinds)
+            expression.check(sample)
 
     @property
     def dim(self) -> int:
@@ -363,14 +359,8 @@ class Space(_Constant):
 
         Raises SpaceError, naming file, table and key, and OSError if the file cannot be read.
         """
-        with open(path, "rb") as file:
-            data = file.read(_MOST_BYTES + 1)
         try:
-            if len(data) > _MOST_BYTES:
-                raise SpaceError(
-                    f"it has more than {_MOST_BYTES:,} bytes; name the file of a space"
-                )
-            return cls.from_toml(data.decode("utf-8-sig"))  # Windows begins files with a mark
+            return cls.from_toml(read_regular(path, _MOST_BYTES).decode("utf-8-sig"))  # of Windows
         except UnicodeDecodeError as error:
             why = f"{os.fspath(path)}: no TOML: {error}; save it as UTF-8"
             raise SpaceError(why) from None
@@ -448,20 +438,20 @@ def _numbers(members: Mapping[str, Member], params: object, prefix: str) -> Iter
 
 def _as_data(members: Mapping[str, Member], prefix: str = "") -> dict[str, Any]:
     """Plain data of the members of a space or group."""
-    return {key: _data(prefix + key, member) for key, member in members.items()}
-
-
-def _data(name: str, member: Member) -> dict[str, Any]:
-    if isinstance(member, Repeated):
-        return {"repeat": member.times, **_as_data(member.group.members, f"{name}.")}
-    if isinstance(member, Group):
-        return _as_data(member.members, f"{name}.")
-    if isinstance(member, Choice):
-        values = [_plain(f"parameter {name!r}", value) for value in member.values]
-        return {"type": "choice", "values": values}
-    given = {each.name: getattr(member, each.name) for each in fields(member)}
-    defaults = {each.name: each.default for each in fields(member)}
-    return {"type": member.type} | {k: v for k, v in given.items() if v != defaults[k]}
+    data: dict[str, Any] = {}
+    for key, member in members.items():
+        name = prefix + key
+        if isinstance(member, Repeated):
+            data[key] = {"repeat": member.times, **_as_data(member.group.members, f"{name}.")}
+        elif isinstance(member, Group):
+            data[key] = _as_data(member.members, f"{name}.")
+        elif isinstance(member, Choice):
+            values = [_plain(f"parameter {name!r}", value) for value in member.values]
+            data[key] = {"type": "choice", "values": values}
+        else:
+            given = {one.name: (getattr(member, one.name), one.default) for one in fields(member)}
+            data[key] = {"type": member.type} | {k: v for k, (v, d) in given.items() if v != d}
+    return data
 
 
 def _plain(where: str, value: Any) -> Any:
@@ -483,13 +473,9 @@ def _members_from(data: object) -> dict[str, Member]:
             "table for each, such as [x] with low = 0, high = 1"
         )
     try:
-        return _members_of(data, "")
+        return {key: _member(key, value) for key, value in data.items()}
     except RecursionError:
         raise SpaceError("tables are nested too deeply; write fewer groups in each other") from None
-
-
-def _members_of(data: Mapping[str, Any], prefix: str) -> dict[str, Member]:
-    return {key: _member(f"{prefix}{key}", value) for key, value in data.items()}
 
 
 def _member(table: str, data: object) -> Member:
@@ -498,8 +484,14 @@ def _member(table: str, data: object) -> Member:
             raise SpaceError(
                 f"must be a table, not {data!r}; write [{table}] and below it low = 0, high = 1"
             )
-        own = {key for key, value in data.items() if not isinstance(value, Mapping)}
-        return _parameter(data) if own - {"repeat"} else _group(table, data)
+        inner = {key: value for key, value in data.items() if key != "repeat"}
+        if any(not isinstance(value, Mapping) for value in inner.values()):
+            return _parameter(data)
+        if not inner:
+            rule = f"is empty; write low = 0, high = 1 below it, or tables [{table}.NAME]"
+            raise SpaceError(rule)
+        group = Group({key: _member(f"{table}.{key}", value) for key, value in inner.items()})
+        return group * data["repeat"] if "repeat" in data else group
     except SpaceError as error:
         if str(error).startswith("["):  # an inner table has said where
             raise
@@ -512,26 +504,17 @@ def _parameter(data: Mapping[str, Any]) -> Kind:
         hint = did_you_mean(name, _KINDS)
         raise SpaceError(f"type: must be one of {', '.join(_KINDS)}, not {name!r}{hint}")
     kind = _KINDS[name]
-    known = ["type", *(each.name for each in fields(kind))]
-    for key in data:
+    values = {key: value for key, value in data.items() if key != "type"}
+    known = [each.name for each in fields(kind)]
+    for key in values:
         if key not in known:
             hint = did_you_mean(key, known)
-            raise SpaceError(f"{key}: unknown key; {name} has {', '.join(known)}{hint}")
+            raise SpaceError(f"{key}: unknown key; {name} has type, {', '.join(known)}{hint}")
     for key in ("values",) if kind is Choice else ("low", "high"):
-        if key not in data:
+        if key not in values:
             raise SpaceError(f"{key}: missing; write {key} = ... below it")
-    values = {key: value for key, value in data.items() if key != "type"}
     if kind is not Choice:
         return kind(**values)
-    listed = values["values"]
-    if not isinstance(listed, list | tuple):
-        raise SpaceError(f'values: must be a list such as ["a", "b"], not {listed!r}')
-    return Choice(*(_plain("values:", value) for value in listed))
-
-
-def _group(table: str, data: Mapping[str, Any]) -> Group | Repeated:
-    members = {key: value for key, value in data.items() if key != "repeat"}
-    if not members:
-        raise SpaceError(f"is empty; write low = 0, high = 1 below it, or tables [{table}.NAME]")
-    group = Group(_members_of(members, f"{table}."))
-    return group * data["repeat"] if "repeat" in data else group
+    if not isinstance(values["values"], list | tuple):
+        raise SpaceError(f'values: must be a list such as ["a", "b"], not {values["values"]!r}')
+    return Choice(*(_plain("values:", value) for value in values["values"]))

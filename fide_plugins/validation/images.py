@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from functools import reduce
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +29,6 @@ import numpy as np
 from fide_plugins.errors import ImageError
 from fide_plugins.types import Float32, Mask
 from fide_plugins.validation.pixels import (
-    CHANNELS,
     MAX_PIXELS,
     Clip,
     OnClip,
@@ -49,7 +49,6 @@ from fide_plugins.validation.pixels import (
     shares,
     typed,
     unit_range,
-    unmasked,
     warn_clipped,
 )
 from fide_plugins.validation.points import whole_number
@@ -90,19 +89,21 @@ def as_target(
     Raises ImageError (a ValueError) for wrong shape, type or values; `ImageNotFoundError` for a
     missing file.
     """
-    pixels = _pixels(target, size, what, "resize it to that", raw=values is not None)
+    pixels = as_pixels(target, what, values is not None, size)
     return _canonical(pixels, what, None, hidden, behind, values)
 
 
-def as_pixels(image: object, what: str, raw: bool = False) -> Pixels:
-    """Array (H, W) or (H, W, C) of one image, with the values that it has; perhaps the image.
+def as_pixels(image: object, what: str, raw: bool = False, size: Size | None = None) -> Pixels:
+    """Array (H, W, C) of one image, with the values that it has; perhaps the image.
 
     what: its name in errors.  raw: whether any numbers will do, those of a file as it has them.
+    size: required size (H, W); None: any.
     Raises ImageError for types and axes that no image has, `ImageNotFoundError`.
     """
     array, is_tensor = _to_array(image, what, raw)
     check_axes(array, what)
-    return array if array.ndim == 2 else channels_last(array, 0, is_tensor, None, what)
+    pixels: Pixels = channels_last(array, 0, is_tensor, size, what)
+    return pixels
 
 
 def alpha_of(image: object, what: str = "the target") -> Float32:
@@ -110,7 +111,7 @@ def alpha_of(image: object, what: str = "the target") -> Float32:
 
     what: its name in errors.  Raises ImageError if it has none.
     """
-    array = _pixels(image, None, what)
+    array = as_pixels(image, what)
     if array.shape[-1] != 4:
         raise ImageError(f"{what} must have an alpha channel, (H, W, 4), got {describe(array)}")
     alpha: Float32 = np.array(unit_range(shares(array[..., 3]), what, None), np.float32, order="C")
@@ -168,38 +169,26 @@ def as_batch(
     return _canonical(pixels, what, on_clip, hidden, values=values)
 
 
-def load(
-    path: str | os.PathLike[str], *, max_side: int | None = None, mask: object = None
-) -> Float32:
+def load(path: str | os.PathLike[str], *, max_side: int | None = None) -> Float32:
     """Canonical image (H, W, 3) float32 in [0, 1], read from the file `path`.
 
     max_side: a longer image is reduced by box averaging to at most so many pixels; None: not at
         all.
-    mask: which pixels count in these averages: (H, W) in [0, 1] or any gray picture of the whole
-        image's size.  What none of them shows becomes 0; transparent pixels never count.
 
     Raises `ImageNotFoundError` or `ImageError`,
     OptionError for a `max_side` that is no whole number >= 1.
     """
-    from fide_plugins.validation.image_files import read_pixels, shrunk
+    from fide_plugins.validation.image_files import read_pixels
 
     if max_side is not None:
         max_side = whole_number("max_side", max_side, 1)
-    what = repr(os.fspath(path))
-    if mask is None:
-        return as_target(read_pixels(path, max_side), what=what)
-    pixels = read_pixels(path, None)
-    shape = (pixels.shape[0], pixels.shape[1])
-    weights = as_target(mask, what="mask", size=shape, behind=0.0)[..., 0]
-    pixels, shown = shrunk(pixels, weights, max_side)
-    return as_target(pixels, what=what, hidden=None if shown is None else shown == 0)
+    return as_target(read_pixels(path, max_side), what=repr(os.fspath(path)))
 
 
 def save(path: str | os.PathLike[str], image: Float32) -> None:
     """Write an image (H, W), (H, W, 3) or (H, W, 4) to the file `path`, whose ending says how.
 
-    .tif, .tiff, .exr (with the extra exr): 32-bit floats, any values, without loss.  .hdr: colors
-    that are not negative, to 1 % of the largest channel.  Other endings that Pillow writes, such as
+    .tif, .tiff: 32-bit floats, any values, without loss.  Other endings that Pillow writes, such as
     .png: 8 bits, values in [0, 1].
 
     Raises ImageError, before anything is written, for another ending, what is no image, NaN and
@@ -212,14 +201,6 @@ def save(path: str | os.PathLike[str], image: Float32) -> None:
 
 
 # -- steps: to an array, channels last, unit range, three channels ---------------------------------
-
-
-def _pixels(image: object, size: Size | None, what: str, *remedy: str, raw: bool = False) -> Pixels:
-    """Pixels (H, W, C) of one image, with the values that it has; remedy: for another size."""
-    array, is_tensor = _to_array(image, what, raw)
-    check_axes(array, what)
-    pixels: Pixels = channels_last(array, 0, is_tensor, size, what, *remedy)
-    return pixels
 
 
 def _list_as_batch(
@@ -238,28 +219,15 @@ def _list_as_batch(
                 f"and call withdraw(X[{i} : {i + 1}]), so that nobody waits for it"
             )
         what = f"image {i}"
-        pixels = _pixels(image, size, what, raw=values is not None)
+        pixels = as_pixels(image, what, values is not None, size)
         rgb = _canonical(pixels, what, clipped.append, hidden, values=values)
         if size is None:
             size = (rgb.shape[0], rgb.shape[1])
             out = np.empty((len(images), *size, 3), np.float32)
         out[i] = rgb
     if clipped:
-        on_clip(clipped[0].joined(clipped[1:]))
+        on_clip(reduce(Clip.joined, clipped))
     return out
-
-
-def _check_one(image: object, what: str) -> None:
-    """Raise ImageError for a list of images; one image may be a list of its rows, (W, C) each."""
-    if not isinstance(image, list | tuple):
-        return
-    shapes: list[tuple[int, ...]] = [getattr(one, "shape", ()) for one in image if is_image(one)]
-    if all(len(shape) == 2 and shape[1] in CHANNELS for shape in shapes):  # rows
-        return
-    remedy = "give one of them, or for several views a target for each"
-    if len(image) == 1:
-        remedy = "take it out of its list, image[0]"
-    raise ImageError(f"{what} must be one image, not a list of {len(image)}; {remedy}")
 
 
 def _to_array(image: object, what: str, raw: bool = False) -> tuple[Pixels, bool]:
@@ -274,11 +242,18 @@ def _to_array(image: object, what: str, raw: bool = False) -> tuple[Pixels, bool
         )
     elif is_torch_tensor(image):
         return from_tensor(image, what, raw), True
-    if isinstance(image, np.ma.MaskedArray):
-        image = unmasked(image, what)
-    _check_one(image, what)
+    if np.ma.is_masked(image):
+        raise ImageError(
+            f"{what} is a masked array, and its mask would be lost; give image.filled(value), and "
+            "say by mask= or weights= which pixels count"
+        )
+    if isinstance(image, list | tuple) and any(getattr(one, "ndim", 0) > 2 for one in image):
+        raise ImageError(
+            f"{what} must be one image, not a list of {len(image)}; give one of them, or for "
+            "several views a target for each"
+        )
     try:
-        array = np.asarray(image)
+        array = np.asarray(image)  # also of rows
     except (TypeError, ValueError, RuntimeError) as e:
         raise ImageError(f"{what} is not an image: {e}") from e
     got = describe(array) if array.ndim else type(image).__name__

@@ -54,9 +54,8 @@ def groups(name: str, value: Any) -> tuple[tuple[int, ...], ...]:
     try:
         return tuple(tuple(whole_number(f"each of {name}", i, 0) for i in group) for group in value)
     except TypeError as error:
-        raise OptionError(
-            f"{name} must be lists of parameter numbers, such as [[0, 1], [2, 3]]; got {value!r}"
-        ) from error
+        rule = f"{name} must be lists of parameter numbers, such as [[0, 1], [2, 3]]"
+        raise OptionError(f"{rule}; got {value!r}") from error
 
 
 def one_of(*choices: str) -> Rule:
@@ -92,11 +91,8 @@ def _real(rule: str, sound: Callable[[float], bool]) -> Callable[[str, Any], flo
     """A finite number for which `sound` holds; rule: what it must, in words."""
 
     def check(name: str, value: Any) -> float:
-        try:
-            number = math.nan if isinstance(value, bool | str) else float(value)
-        except (TypeError, ValueError, OverflowError):
-            number = math.nan
-        if not (math.isfinite(number) and sound(number)):
+        number = as_real(value)
+        if number is None or not (math.isfinite(number) and sound(number)):
             raise OptionError(f"{name} must {rule}, not {value!r}")
         return number
 
@@ -180,14 +176,13 @@ def seconds_of(name: str, value: object) -> float:
     >>> seconds_of("time", "1h30m"), seconds_of("time", 12)
     (5400.0, 12.0)
     """
-    seconds: float | None = math.nan
-    if not isinstance(value, str):
-        seconds = as_real(value)
-    elif (text := value.strip().lower()) and (found := _DURATION.fullmatch(text)):
-        seconds = sum(float(n) * _UNITS[unit] for unit, n in found.groupdict().items() if n)
-    else:
-        with suppress(ValueError):
-            seconds = float(text)
+    seconds = as_real(value)
+    if isinstance(value, str) and (text := value.strip().lower()):
+        if found := _DURATION.fullmatch(text):
+            seconds = sum(float(n) * _UNITS[unit] for unit, n in found.groupdict().items() if n)
+        else:
+            with suppress(ValueError):
+                seconds = float(text)
     if seconds is None or not 0 < seconds < math.inf:
         raise OptionError(
             f"{name} must be a positive number of seconds, or a text such as '90s', '10m' or "

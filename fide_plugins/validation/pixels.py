@@ -63,17 +63,6 @@ def from_tensor(tensor: Any, what: str, raw: bool = False) -> Pixels:
     return typed(array, what, f"a tensor of {describe(array)}", raw)
 
 
-def unmasked(image: Any, what: str) -> Pixels:
-    """Values of a masked array; ImageError if some are masked, which would be lost."""
-    if hidden := int(np.count_nonzero(np.ma.getmaskarray(image))):
-        raise ImageError(
-            f"{what} is a masked array with {hidden:,} masked values, and its mask would be lost; "
-            "give image.filled(value), and say by mask= or weights= which pixels count"
-        )
-    values: Pixels = image.data
-    return values
-
-
 def typed(array: Pixels, what: str, got: str, raw: bool = False) -> Pixels:
     """The array; ImageError unless its type says which value is white; raw: unless it has numbers.
 
@@ -93,7 +82,6 @@ def typed(array: Pixels, what: str, got: str, raw: bool = False) -> Pixels:
 # -- which values are black and white: 0 and 1, or the two numbers of a user's `value_range` -------
 
 AUTO: Final = "auto"
-_MARGIN = 0.5  # of the span of a picture, beyond both ends
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,8 +142,8 @@ def value_range_of(given: Any) -> ValueRange | str | None:
 def range_of(pictures: Iterable[tuple[Pixels, Mask | None]]) -> ValueRange:
     """Range for `value_range="auto"`: of the pictures, with half of their span beyond both ends.
 
-    A picture without negative values has a range without them.  One of a single value c gets half
-    of |c| beyond both ends, or 1/2 if c is 0.
+    A picture without negative values has a range without them.  The span of a single value c is
+    |c|, or 1 if c is 0.
 
     pictures: (H, W, C) each, and its hidden pixels (H, W).  Transparent ones do not count.
     Raises ImageError for NaN and infinity.
@@ -175,7 +163,7 @@ def range_of(pictures: Iterable[tuple[Pixels, Mask | None]]) -> ValueRange:
             "pixels by mask=, or give two numbers, value_range=(low, high)"
         )
     low, high = min(lows, default=0.0), max(highs, default=1.0)
-    margin = _MARGIN * ((high - low) or abs(low) or 1.0)
+    margin = ((high - low) or abs(low) or 1.0) / 2
     return ValueRange(max(0.0, low - margin) if low >= 0 else low - margin, high + margin)
 
 
@@ -210,16 +198,11 @@ class Clip:
     def __str__(self) -> str:
         return self.message
 
-    def joined(self, others: list[Clip]) -> Clip:
+    def joined(self, other: Clip) -> Clip:
         """One for this and further images; the message is that of the first."""
-        every = [self, *others]
         counts = ("images", "lit", "above", "total")
-        return Clip(
-            self.message + (f" (and {len(others)} more images)" if others else ""),
-            low=min(one.low for one in every),
-            high=max(one.high for one in every),
-            **{name: sum(getattr(one, name) for one in every) for name in counts},
-        )
+        sums = {name: getattr(self, name) + getattr(other, name) for name in counts}
+        return replace(self, low=min(self.low, other.low), high=max(self.high, other.high), **sums)
 
     def of_view(self, view: int) -> Clip:
         """The same, saying of which view."""
@@ -296,20 +279,13 @@ def warn_clipped(clip: Clip) -> None:
 Size: TypeAlias = tuple[int, int]  # (H, W)
 
 CHANNELS = (1, 3, 4)  # gray, RGB, RGBA
-
-
-def _views(pixels: Any) -> str:
-    """What to write for several pictures in one array, by its first or last axis."""
-    first, *_, last = pixels.shape
-    each = f"[image[..., i] for i in range({last})]"
-    pictures = "list(image)" if pixels.ndim != 3 or first < last else each
-    return f"of several pictures make views: {pictures}, a list, and let render return such a list"
+_VIEWS = "of several pictures make views: list(image), and let render return such a list"
 
 
 def check_axes(pixels: Any, what: str) -> None:
     """Raise ImageError unless the axes are those of one image."""
     if pixels.ndim not in (2, 3):
-        remedy = f"; {_views(pixels)}" if pixels.ndim == 4 else ""
+        remedy = f"; {_VIEWS}" if pixels.ndim == 4 else ""
         if pixels.ndim == 4 and len(pixels) == 1:
             remedy = "; take it out of its batch of one, image[0]"
         raise ImageError(
@@ -334,30 +310,22 @@ def check_count(count: int, n: int | None) -> None:
         raise ImageError(f"there must be one image per point: got {count} images for {n} points")
 
 
-def channels_last(
-    pixels: Any,
-    batch: int,
-    may_be_first: bool,
-    size: Size | None,
-    what: str,
-    remedy: str = "render at that size, or resize the target",
-) -> Any:
+def channels_last(pixels: Any, batch: int, may_be_first: bool, size: Size | None, what: str) -> Any:
     """View of `pixels` as (..., H, W, C), after `batch` (0 or 1) leading axes; checks the size.
 
     may_be_first: whether channels may come before H and W, as in torch tensors.
-    remedy: for those of another size.
     """
     if pixels.ndim == batch + 2:
         pixels = pixels[..., None]
     else:
         first, *rest = pixels.shape[batch:]
         if may_be_first and first in CHANNELS and size in (None, tuple(rest)):
-            pixels = pixels.swapaxes(batch, batch + 1).swapaxes(batch + 1, batch + 2)
+            pixels = np.moveaxis(pixels, batch, -1)
         elif pixels.shape[-1] not in CHANNELS:
             move = "np.moveaxis(image, -3, -1) puts the channels last"
             raise ImageError(
                 f"{what} must have 1, 3 or 4 channels in its last axis, got {describe(pixels)}; "
-                f"{move if first in CHANNELS else _views(pixels[0] if batch else pixels)}"
+                f"{move if first in CHANNELS else _VIEWS}"
             )
     height, width = pixels.shape[batch : batch + 2]
     if height == 0 or width == 0:
@@ -365,41 +333,15 @@ def channels_last(
     if size is not None and size != (height, width):
         raise ImageError(
             f"{what} must have the target's size, {size[0]} x {size[1]} (H x W), got "
-            f"{height} x {width}: {describe(pixels)}; {remedy}"
+            f"{height} x {width}: {describe(pixels)}; give it that size"
         )
     return pixels
 
 
-# -- values ----------------------------------------------------------------------------------------
+# -- values in [0, 1] ------------------------------------------------------------------------------
 
 _ROUNDING = 1e-6
 _LARGEST = 1e30  # of values that are added; there is no end to those of fireflies
-
-
-def _clip(message: str, batch: Any, ends: tuple[float, float]) -> Clip:
-    """What was clipped in images (n, values); ends: extremes in the user's values."""
-    beyond = (batch > 1.0 + _ROUNDING).any(1)
-    outside = beyond | (batch < -_ROUNDING).any(1)
-    bright = batch[beyond]
-    above = bright > 1.0
-    total = bright[above].clip(0.0, _LARGEST).sum()
-    counts = (int(outside.sum()), int((bright > _LIT).sum()), int(above.sum()))
-    return Clip(message, counts[0], *ends, *counts[1:], float(total))
-
-
-def _remedy(what: str, ends: tuple[float, float], of_bytes: bool, values: ValueRange | None) -> str:
-    """What to do about values with these extremes."""
-    if what.startswith(("mask", "weights")):
-        return "divide them by the largest"
-    if values is not None:
-        return "give a wider value_range, which target and renders share"
-    if of_bytes:
-        return "divide by 255, target and renders alike, or give value_range=(0, 255)"
-    given = f"value_range=({min(0.0, ends[0]):.6g}, {max(1.0, ends[1]):.6g})"
-    return (
-        f'give {given} or "auto", in the shell --value-range, or divide target and renders by the '
-        "same number; clip what is an overshoot"
-    )
 
 
 def unit_range(
@@ -415,7 +357,6 @@ def unit_range(
     """
     given = pixels
     if values is not None:
-        _check_alpha(pixels, what, on_clip, hidden)
         pixels = _scaled(pixels, values)
     if pixels.dtype == np.uint8:
         return np.divide(pixels, np.float32(255), dtype=np.float32, order="C")
@@ -426,7 +367,8 @@ def unit_range(
         return pixels
     seen = pixels
     if hidden is not None:  # what does not count is looked at only where something is wrong
-        seen, pixels = pixels[..., ~hidden, :], _mended(pixels, hidden)
+        seen, pixels = pixels[..., ~hidden, :], pixels.copy(order="C")
+        pixels[..., hidden, :] = np.clip(np.nan_to_num(pixels[..., hidden, :]), 0.0, 1.0)
         low, high = extremes(seen)
     if not (np.isfinite(low) and np.isfinite(high)):
         bad = seen.size - int(np.count_nonzero(np.isfinite(seen)))
@@ -438,33 +380,43 @@ def unit_range(
         return pixels
     if low < -_ROUNDING or high > 1.0 + _ROUNDING:
         wide = seen.astype(np.float32) if seen.dtype.itemsize == 2 else seen  # sums above 65504
-        n = len(given) if given.ndim == 4 else 1
-        _tell_clipped(wide, describe(given), what, on_clip, values, n)
+        rows = wide.reshape(len(given) if given.ndim == 4 else 1, -1)
+        _tell_clipped(rows, describe(given), what, on_clip, values)
     return np.clip(pixels, 0.0, 1.0, order="C")
 
 
 def _tell_clipped(
-    seen: Pixels, about: str, what: str, on_clip: OnClip | None, values: ValueRange | None, n: int
+    seen: Pixels, about: str, what: str, on_clip: OnClip | None, values: ValueRange | None
 ) -> None:
-    """Tell `on_clip` of values beyond [0, 1] in n images.
-
-    Raises ImageError where they are refused, ValueRangeError for renders that are plainly on
-    another scale: whole numbers up to more than 2 and at most 255.
-    """
-    low, high = extremes(seen)
-    ends = (low, high)
+    """Tell `on_clip` of values beyond [0, 1] in n images: seen (n, values)."""
+    low, high = ends = extremes(seen)
     if values is not None:
         ends = values.low + low * values.span, values.low + high * values.span
     of_bytes = values is None and low >= 0.0 and 2.0 < high <= 255 + _ROUNDING
     of_bytes = of_bytes and bool((seen == seen.round()).all())
-    got = f"values in [{ends[0]:.6g}, {ends[1]:.6g}], {about}"
-    rule, remedy = values or "[0, 1]", _remedy(what, ends, of_bytes, values)
+    got, rule = f"values in [{ends[0]:.6g}, {ends[1]:.6g}], {about}", values or "[0, 1]"
+    remedy = (
+        f'give value_range=({min(0.0, ends[0]):.6g}, {max(1.0, ends[1]):.6g}) or "auto", in the '
+        "shell --value-range, or divide target and renders by the same number; clip what is an "
+        "overshoot"
+    )
+    if what.startswith(("mask", "weights")):
+        remedy = "divide them by the largest"
+    elif values is not None:
+        remedy = "give a wider value_range, which target and renders share"
+    elif of_bytes:
+        remedy = "divide by 255, target and renders alike, or give value_range=(0, 255)"
     if on_clip is None or of_bytes:
         refused = ImageError if on_clip is None else ValueRangeError
         raise refused(f"{what} must have values in {rule}, got {got}; {remedy}")
     hint = f"; if they are no overshoot, {remedy}" if high > 2.0 or low < -1.0 else ""
     told = f"{what} has {got}; they are clipped to {rule}{hint}"
-    on_clip(_clip(told, seen.reshape(n, -1), ends))
+    beyond = (seen > 1.0 + _ROUNDING).any(1)
+    images = int((beyond | (seen < -_ROUNDING).any(1)).sum())
+    bright = seen[beyond]
+    above = bright[bright > 1.0]
+    total = float(above.clip(0.0, _LARGEST).sum())
+    on_clip(Clip(told, images, *ends, int((bright > _LIT).sum()), above.size, total))
 
 
 def _scaled(pixels: Pixels, values: ValueRange) -> Pixels:
@@ -474,33 +426,9 @@ def _scaled(pixels: Pixels, values: ValueRange) -> Pixels:
     return np.concatenate([values.scaled(pixels[..., :3]), shares(pixels[..., 3:])], axis=-1)
 
 
-def _check_alpha(pixels: Pixels, what: str, on_clip: OnClip | None, hidden: Mask | None) -> None:
-    """Raise ImageError for an alpha channel of floats that are no shares; renders may overshoot."""
-    if pixels.shape[-1] != 4 or pixels.dtype.kind != "f":
-        return
-    alpha = pixels[..., 3] if hidden is None else pixels[..., ~hidden, 3]
-    low, high = extremes(alpha)
-    most, refused = (_ROUNDING, ImageError) if on_clip is None else (1.0, ValueRangeError)
-    if low < -most or high > 1.0 + most:
-        raise refused(
-            f"{what} has an alpha channel with values in [{low:.6g}, {high:.6g}], "
-            f"{describe(pixels)}; alpha of floats must be in [0, 1], whatever value_range is: "
-            "divide it by its largest value, or leave it out, image[..., :3]"
-        )
-
-
 def shares(alpha: Pixels) -> Pixels:
     """An alpha channel in [0, 1] where it is one of whole numbers."""
     return alpha / np.iinfo(alpha.dtype).max if alpha.dtype.kind in "iu" else alpha
-
-
-def _mended(pixels: Pixels, hidden: Mask) -> Pixels:
-    """Copy of floats (..., H, W, C) whose hidden pixels lie in [0, 1], with 0 for NaN."""
-    mended = pixels.copy(order="C")
-    values = mended[..., hidden, :]
-    values[np.isnan(values)] = 0.0
-    mended[..., hidden, :] = np.clip(values, 0.0, 1.0)
-    return mended
 
 
 def extremes(pixels: Pixels) -> tuple[float, float]:

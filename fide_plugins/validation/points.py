@@ -57,12 +57,11 @@ def as_point(x: Any, dim: int, name: str = "x") -> Float64:
 
 def as_real(value: object) -> float | None:
     """`value` as a float; None unless it is a real number, NumPy's too; a bool is none."""
-    if isinstance(value, Real) and not isinstance(value, bool):
-        try:
-            return float(value)
-        except OverflowError:
-            return None
-    return None
+    try:
+        real = isinstance(value, Real) and not isinstance(value, bool)
+        return float(value) if real else None  # type: ignore[arg-type]
+    except OverflowError:
+        return None
 
 
 def as_whole(value: Any) -> int | None:
@@ -73,16 +72,12 @@ def as_whole(value: Any) -> int | None:
         return None
 
 
-def whole_instead(value: object) -> int | None:
-    """Whole number that the float `value` is, to name it in an error; None for all else."""
-    return int(value) if isinstance(value, float) and value.is_integer() else None
-
-
 def whole_number(name: str, value: object, minimum: int) -> int:
     """`value` as an int; OptionError (a ValueError) unless it is a whole number >= `minimum`."""
-    number, instead = as_whole(value), whole_instead(value)
+    number = as_whole(value)
     if number is None or number < minimum:
-        hint = f"; write {instead}" if instead is not None and instead >= minimum else ""
+        whole = isinstance(value, float) and value.is_integer() and value >= minimum
+        hint = f"; write {value:.0f}" if whole else ""
         raise OptionError(f"{name} must be a whole number >= {minimum}, not {value!r}{hint}")
     return number
 
@@ -122,10 +117,7 @@ _SMALLEST_STD = 1e-16  # a smaller one cannot change doubles near the center of 
 
 def standard_deviation(value: Any) -> float:
     """`value` as a float; OptionError (a ValueError) unless it lies in [1e-16, 1]."""
-    try:
-        number = 0.0 if isinstance(value, bool | np.bool_ | str) else float(value)
-    except (TypeError, ValueError, OverflowError):
-        number = 0.0
+    number = as_real(value) or 0.0
     if not _SMALLEST_STD <= number <= 1:
         raise OptionError(f"sigma0 must lie in (0, 1], at least {_SMALLEST_STD}, not {value!r}")
     return number
@@ -133,14 +125,10 @@ def standard_deviation(value: Any) -> float:
 
 def standard_deviations(value: Any, dim: int) -> float | Float64:
     """`value` as a float or as floats (dim,); OptionError unless all lie in [1e-16, 1]."""
-    try:
-        shape = np.shape(value)
-    except ValueError:  # rows of several lengths
-        shape = (0,)
-    if shape not in ((), (dim,)):
-        raise OptionError(f"sigma0 must be one number or {dim}, not {value!r}")
-    if shape == ():
+    if not isinstance(value, list | tuple) and np.ndim(value) == 0:
         return standard_deviation(value)
+    if len(value) != dim:
+        raise OptionError(f"sigma0 must be one number or {dim}, not {value!r}")
     return np.array([standard_deviation(number) for number in value])
 
 

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from fide_plugins.types import Float32
-from fide_plugins.views.view import View
-from fide_plugins.views.views import Views
+from fide_plugins.views.views import View, Views
 
 __all__ = ["enlarged", "reduced", "seen_at"]
 

@@ -1,12 +1,9 @@
 """Whether an image equals the target but for what no eye sees.
 
-How far a value is off is measured in steps, each 1/255 of the target's range of values, in the
-color in which that is largest; of 8 bits for a target of one color.  If the target was rounded, to
-8 or 16 bits, half of *its* step is subtracted first.  Of all pixels of a view that count:
-
-1. The mean square is at most that of rounding to whole steps, 1/12.
-2. A pixel *differs* where a color is off by more than one step.  At most one pixel in 1,000
-   differs, and at most ten, none by more than 16 steps, and no 3 x 3 pixels hold more than two.
+A step is 1/255 of the target's range of values, in the color in which that is largest; half of the
+target's own step of rounding is subtracted first.  The mean square is at most 1/12, that of
+rounding to steps.  At most one pixel in 1,000, and ten, are off by more than one step in a color,
+none by more than 16, and no 3 x 3 pixels hold more than two of them.
 """
 
 from __future__ import annotations
@@ -15,8 +12,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from fide_plugins.types import Float32
-from fide_plugins.views.view import DIGITS, View
-from fide_plugins.views.views import Views
+from fide_plugins.views.views import DIGITS, View, Views
 
 __all__ = ["is_solved"]
 

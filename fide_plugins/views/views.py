@@ -1,4 +1,4 @@
-"""Targets and weights of the views of a scene.
+"""Targets and weights of the views of a scene, as a user gives them and as they are compared.
 
 Several views are *packed*: all pixels of all views, in order, as one picture (P, 1, 3).
 """
@@ -7,33 +7,238 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from fide_plugins.errors import ImageError
-from fide_plugins.runtime.messages import warn_user
 from fide_plugins.runtime.schema import array, check, real, row
-from fide_plugins.types import Float32, Float64
-from fide_plugins.validation.images import as_batch
+from fide_plugins.types import Float32, Float64, Mask
+from fide_plugins.validation.images import alpha_of, as_batch, as_pixels, as_target, is_image
 from fide_plugins.validation.pixels import (
     AUTO,
     Clip,
     OnClip,
+    Pixels,
     ValueRange,
     range_of,
     restored,
     value_range_of,
 )
-from fide_plugins.views.given import is_list_of_images, one_a_view, opened, read_given, sizes_of
-from fide_plugins.views.view import View
 
-__all__ = ["Views", "views_of"]
+__all__ = [
+    "ALPHA",
+    "DIGITS",
+    "View",
+    "Views",
+    "is_list_of_images",
+    "joined",
+    "one_a_view",
+    "read_weights",
+    "views_of",
+]
 
-_LEAST_USED = 0.01  # of a range of values
+ALPHA = "alpha"
+"""In place of a mask: the alpha channel of the target."""
+DIGITS = 5e-7  # by which values in [0, 1] may differ in single precision
+_SHADES = 8  # steps of a channel of the color that hidden pixels get
 _LEVELS = (255.0, 65535.0)  # of 8 and 16 bits
 _FEWEST = 100  # whole values of a range that are steps, and not just few values
+
+
+# -- what a user gives -----------------------------------------------------------------------------
+
+
+def is_list_of_images(value: object) -> bool:
+    """Whether it is a list or tuple of pictures, rather than one picture of nested lists."""
+    listed = isinstance(value, list | tuple) and len(value) > 0
+    return listed and all(is_image(each) for each in value)  # type: ignore[attr-defined]
+
+
+def _opened(target: object, raw: bool = False) -> list[Pixels]:
+    """Arrays (H, W, C) of a picture or a list of them, with the values they have."""
+    if not is_list_of_images(target):
+        return [as_pixels(target, "the target", raw)]
+    assert isinstance(target, list | tuple)
+    return [as_pixels(one, f"the target of view {i}", raw) for i, one in enumerate(target)]
+
+
+def _sizes_of(shapes: Sequence[Sequence[int]]) -> str:
+    """Height x width of each view."""
+    return " + ".join(f"{height} x {width}" for height, width, *_ in shapes)
+
+
+def one_a_view(name: str, given: object, targets: Sequence[object]) -> list[object]:
+    """A list of masks or weights, one for each target; a single one is that of all.
+
+    name, given: the argument and its value, see `Views.read`; masks themselves are not read.
+
+    Raises ImageError for another number of them, or a single one where the sizes differ.
+    """
+    k = len(targets)
+    if given is None or (isinstance(given, str) and given == ALPHA):
+        return [given] * k
+    if isinstance(given, list | tuple):
+        if len(given) == k:
+            return list(given)
+        got = f"{len(given)} of them"
+    else:
+        shapes = [picture.shape for picture in _opened(targets, raw=True)]
+        if len({shape[:2] for shape in shapes}) == 1:
+            return [given] * k
+        got = f"a single one, which needs views of one size, not {_sizes_of(shapes)}"
+    raise ImageError(
+        f"{name} must be a list with one entry for each of the {k} views, None for a view "
+        f"without; got {got}"
+    )
+
+
+def read_weights(given: object, target: object, size: tuple[int, int], what: str) -> Float32 | None:
+    """Weights (H, W) in [0, 1] of a picture, of which the largest is 1; None if all are equal.
+
+    given: a gray picture, any input of `as_target`, of that size, gray times alpha where it is
+        transparent; "alpha" for the alpha channel of the target; None.
+    what: its name in errors.
+
+    Raises ImageError: wrong size, colors, values outside [0, 1], NaN, or zeros everywhere.
+    """
+    if given is None:
+        return None
+    if isinstance(given, str) and given == ALPHA:
+        try:
+            weights = alpha_of(target, f"the target of {what}='alpha'")
+        except ImageError as error:
+            raise ImageError(f"{error}; or give a {what} of its own, {what}=ARRAY") from error
+    else:
+        picture = as_target(given, what=what, size=size, behind=0.0)
+        weights = picture[..., 0].copy()
+        if (picture != weights[..., None]).any():
+            raise ImageError(f"{what} must be gray, (H, W), but it has colors; pass one channel")
+    return joined(weights, None, what)
+
+
+def joined(a: Float32 | None, b: Float32 | None, what: str) -> Float32 | None:
+    """Product of two weights (H, W), None for ones, of which the largest becomes 1.
+
+    None if all are equal.  Raises ImageError for zeros everywhere.
+    """
+    if a is None and b is None:
+        return None
+    product = np.asarray((1 if a is None else a) * (1 if b is None else b))
+    largest = product.max()
+    if largest <= 0:
+        raise ImageError(
+            f"{what} is zero everywhere, so no pixel of the picture counts; white is what counts, "
+            "black or transparent what is hidden"
+        )
+    if product.min() == largest:
+        return None
+    weights: Float32 = np.ascontiguousarray(product / largest, np.float32)
+    return weights
+
+
+# -- one view --------------------------------------------------------------------------------------
+
+
+def _hidden_by(weights: Float32 | None) -> Mask | None:
+    """Pixels (H, W) of weight 0; None if there are none."""
+    hidden = None if weights is None else weights == 0
+    return None if hidden is None or not hidden.any() else hidden
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One view.
+
+    target: (H, W, 3).
+    weights: (H, W) in [0, 1], the largest 1; None: all are.
+    """
+
+    target: Float32
+    weights: Float32 | None = None
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(H, W)."""
+        return self.target.shape[0], self.target.shape[1]
+
+    @cached_property
+    def mean_weight(self) -> float:
+        """Mean of the weights."""
+        return 1.0 if self.weights is None else float(self.weights.mean(dtype=np.float64))
+
+    @cached_property
+    def hidden(self) -> Mask | None:
+        """(H, W), pixels of weight 0, where a render may have any values; None: all count."""
+        return _hidden_by(self.weights)
+
+    @cached_property
+    def _roots(self) -> Float32:
+        assert self.weights is not None
+        roots: Float32 = np.sqrt(self.weights)[..., None]
+        return roots
+
+    @cached_property
+    def filled(self) -> Float32:
+        """Target whose hidden pixels have the mean color of all others, (H, W, 3).
+
+        The color is rounded, since remembered tokens are compared with those of the next target
+        (`retarget`), which mostly has the same rounded one.
+        """
+        if self.hidden is None:
+            return self.target
+        filled = self.target.copy()
+        mean = self.target[~self.hidden].mean(axis=0, dtype=np.float64)
+        filled[self.hidden] = np.round(mean * _SHADES) / _SHADES
+        filled.flags.writeable = False
+        return filled
+
+    def shown(self, batch: Float32) -> Float32:
+        """What encoder and named loss see of renders (n, H, W, 3): `blended` with `filled`."""
+        return self._blended(batch, self.filled)
+
+    def blended(self, batch: Float32) -> Float32:
+        """What a user's own loss, which may know the target, sees: x' = t + sqrt(w) (x - t)."""
+        return self._blended(batch, self.target)
+
+    def _blended(self, batch: Float32, t: Float32) -> Float32:
+        if self.weights is None:
+            return batch
+        roots = self._roots
+        with np.errstate(under="ignore"):  # a tiny difference times a weight
+            blended: Float32 = np.where(roots == 1, batch, t + roots * (batch - t))
+        return blended
+
+    def difference(self, image: Float32, other: Float32) -> Float64:
+        """Difference of two images, (H, W, 3), whose mean square is the weighted one."""
+        apart = np.subtract(image, other, dtype=np.float64)
+        if self.weights is not None:
+            apart *= self._roots / self.mean_weight**0.5
+        return apart
+
+    @property
+    def counted(self) -> int:
+        """How many pixels count at all."""
+        return int(np.prod(self.size) if self.weights is None else np.count_nonzero(self.weights))
+
+    @cached_property
+    def contrast(self) -> float:
+        """Range of the target's values where they count, in the color in which it is largest."""
+        return float(np.ptp(self._seen(self.target), axis=0).max())
+
+    def is_rounded(self, levels: float) -> bool:
+        """Whether all values of the target that count are whole multiples of 1 / levels."""
+        steps = self._seen(self.target).astype(np.float64) * levels
+        return bool((abs(steps - np.round(steps)) <= levels * DIGITS).all())
+
+    def _seen(self, image: Float32) -> Float32:
+        """Pixels (m, 3) that count."""
+        return image[... if self.hidden is None else ~self.hidden].reshape(-1, 3)
+
+
+# -- all views -------------------------------------------------------------------------------------
 
 
 class Views:
@@ -72,26 +277,27 @@ class Views:
         if isinstance(target, Views) and mask is None and weights is None and values is None:
             return target
         listed, raw = is_list_of_images(target), values is not None
-        if not listed:
-            given = [read_given(target, mask, weights, "", raw)]
-        else:
-            assert isinstance(target, list | tuple)
-            masks = one_a_view("mask", mask, target)
-            others = one_a_view("weights", weights, target)
-            each = zip(target, masks, others, strict=True)
-            given = [read_given(*one, f" of view {i}", raw) for i, one in enumerate(each)]
+        if not listed and (is_list_of_images(mask) or is_list_of_images(weights)):
+            raise ImageError("a list of masks or weights needs a list of targets, one for each")
+        pictures, given = _opened(target, raw), []
+        masks = one_a_view("mask", mask, target) if listed else [mask]  # type: ignore[arg-type]
+        others = one_a_view("weights", weights, target) if listed else [weights]  # type: ignore[arg-type]
+        for i, (pixels, one, other) in enumerate(zip(pictures, masks, others, strict=True)):
+            of = f" of view {i}" if listed else ""
+            size = pixels.shape[0], pixels.shape[1]
+            first = read_weights(one, pixels, size, f"mask{of}")
+            second = read_weights(other, pixels, size, f"weights{of}")
+            given.append(joined(first, second, f"mask times weights{of}"))
+        hidden = [_hidden_by(one) for one in given]
         if values == AUTO:
-            values = range_of(one.seen for one in given)
+            values = range_of(zip(pictures, hidden, strict=True))
         assert not isinstance(values, str)
-        made = cls([one.view(values) for one in given], listed=listed, values=values)
-        if values is not None and value_range is not values:  # given by a user
-            span = max(v.filled.max() for v in made.views) - min(v.filled.min() for v in made.views)
-            if 0 < span < _LEAST_USED:  # 8 bits would not show it
-                warn_user(
-                    f"the target takes up {span:.2g} of value_range {values}: is it on the scale "
-                    "of the renders?"
-                )
-        return made
+        views = []
+        for i, pixels in enumerate(pictures):
+            what = f"the target of view {i}" if listed else "the target"
+            picture = as_target(pixels, what=what, hidden=hidden[i], values=values)
+            views.append(View(picture, given[i]))
+        return cls(views, listed=listed, values=values)
 
     def retargeted(self, target: object) -> Views:
         """The same views, weights and range of values, for the next picture, or list of pictures.
@@ -99,8 +305,8 @@ class Views:
         Raises ImageError unless it has the sizes of the first, and values in the range.
         """
         listed = is_list_of_images(target)
-        pictures = opened(target, self.values is not None)
-        sizes = sizes_of([picture.shape for picture in pictures])
+        pictures = _opened(target, self.values is not None)
+        sizes = _sizes_of([picture.shape for picture in pictures])
         if (listed, sizes) != (self.listed, self.sizes):
             raise ImageError(
                 f"the next target must have the size of the first, {self.sizes}, not "
@@ -158,7 +364,7 @@ class Views:
     @property
     def sizes(self) -> str:
         """Height x width of each view."""
-        return sizes_of([view.size for view in self.views])
+        return _sizes_of([view.size for view in self.views])
 
     def as_batch(self, images: object, n: int | None, on_clip: OnClip) -> Float32:
         """Renders of n candidates, (n, H, W, 3), packed if there are several views.

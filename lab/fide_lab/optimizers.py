@@ -49,12 +49,10 @@ def names() -> list[str]:
 def register(name: str, cls: Callable[..., Optimizer] | str) -> None:
     """Make the class `cls`, or the one at ``"module:attribute"``, known by `name`.
 
-    It may be a function that makes an optimizer, too; `load` needs a class.  A class of which
-    `types.Optimizer` is more than it has is wrapped by `baselines.own`.  A class with a true
+    A class that has only `ask` and `tell` is wrapped by `baselines.own`.  A class with a true
     attribute `takes_space` gets the `Space`, where there is one; others its number of parameters.
 
-    Raises OptionError (a ValueError) for a name with a colon, or a `cls` that is neither
-    callable nor "module:attribute".
+    Raises OptionError (a ValueError) for a name with a colon, or a wrong `cls`.
     """
     _REGISTRY.register(name, cls)
 
@@ -100,8 +98,7 @@ def load(
 ) -> Optimizer:
     """Optimizer `name` as it was saved at `path`.
 
-    device: on which it goes on; a checkpoint fits any.  None: as its class chooses.  Classes whose
-        `load` has no such option choose themselves.
+    device: on which it goes on, if its `load` has that option; None: as its class chooses.
     loss: a user's own, which a checkpoint cannot hold; None: it holds its name.
     """
     cls = _resolve(name)
@@ -137,20 +134,17 @@ def source_of(name: Named) -> str | None:
 
 def _resolve(name: Named) -> Any:
     """Class of that name, or function that makes such an optimizer."""
+    from fide_lab.baselines.own import own
+
     if isinstance(name, str) and name not in names():
         family, _, method = name.partition(":")
         if family in FAMILIES and method:
             return _of_family(family, method)
         if family not in FAMILIES and is_reference(name):
-            from fide_lab.baselines.own import own
-
             return own(name)
     found = name if callable(name) else _REGISTRY.resolve(name)
-    if isinstance(found, type) and not all(hasattr(found, part) for part in _METHODS):
-        from fide_lab.baselines.own import own
-
-        return own(found)
-    return found
+    whole = all(hasattr(found, part) for part in _METHODS)
+    return own(found) if isinstance(found, type) and not whole else found
 
 
 _METHODS = ("ask", "ask_ready", "tell", "recommend", "save", "load")

@@ -24,8 +24,6 @@ from fide_plugins.errors import OptionError, UnknownNameError
 from fide_plugins.options import PRESETS
 from fide_plugins.runtime import files
 
-TIMES = {"1 minute": 60.0, "10 minutes": 600.0, "an hour": 3600.0}
-"""Times, in seconds, for which a combination is recommended."""
 _MARKS = 60  # geometrically spaced costs at which a run is evaluated
 
 
@@ -41,13 +39,8 @@ def configurations(options: Mapping[str, Sequence[Any]]) -> tuple[Configuration,
     for preset in options["preset"]:
         if preset not in PRESETS:
             raise UnknownNameError.of("preset", preset, PRESETS)
-    texts = (
-        ":".join(
-            ["fide", *(f"{name}={value}" for name, value in zip(options, chosen, strict=True))]
-        )
-        for chosen in product(*options.values())
-    )
-    return tuple(map(Configuration.parse, texts))
+    pairs = ([f"{name}={value}" for value in values] for name, values in options.items())
+    return tuple(Configuration.parse(":".join(("fide", *one))) for one in product(*pairs))
 
 
 class Point(NamedTuple):
@@ -67,11 +60,6 @@ class Combination:
     runs: tuple[StoredRun, ...]
 
     @property
-    def anytime(self) -> bool:
-        """Whether losses during the runs are comparable: not those of noisy images."""
-        return all(run.totals["best_loss"] == run.totals["reference_loss"] for run in self.runs)
-
-    @property
     def label(self) -> str:
         """The preset, and the other options."""
         options = dict(word.split("=", 1) for word in split(self.name)[1])
@@ -86,24 +74,22 @@ class Combination:
         """Median final loss of the runs."""
         return float(np.median([run.final for run in self.runs]))
 
-    def loss_at(self, axis: str, cost: float) -> float:
-        """Median loss for a cost; infinity if there is no loss yet."""
-        losses = []
-        for run in self.runs:
-            assert run.curve is not None  # all runs are finished
-            under_way = run.curve.loss_at(axis, cost) if self.anytime else np.inf
-            losses.append(run.final if cost >= run.curve.ends[axis] else under_way)
-        return float(np.median(losses))
-
     def points(self, axis: str) -> list[Point]:
-        """Points along the runs if `anytime`, otherwise one at their end; those of finite loss."""
-        curves = [run.curve for run in self.runs if run.curve]
-        starts = [curve.at[axis][0] for curve in curves if len(curve.loss)]
+        """Points of finite median loss along the runs; of noisy images one at their end."""
+        curves = [(run.final, run.curve) for run in self.runs if run.curve]
+        starts = [curve.at[axis][0] for _, curve in curves if len(curve.loss)]
+        anytime = all(r.totals["best_loss"] == r.totals["reference_loss"] for r in self.runs)
         marks = [self.end(axis)]
-        if self.anytime and starts:
-            longest = max(curve.ends[axis] for curve in curves)
+        if anytime and starts:
+            longest = max(curve.ends[axis] for _, curve in curves)
             marks = np.geomspace(max(min(starts), 1e-6), longest, _MARKS).tolist()
-        found = [Point(cost, self.loss_at(axis, cost), self) for cost in marks]
+        found = []
+        for cost in marks:
+            losses = [
+                final if cost >= c.ends[axis] else c.loss_at(axis, cost) if anytime else np.inf
+                for final, c in curves
+            ]
+            found.append(Point(cost, float(np.median(losses)), self))
         return [point for point in found if np.isfinite(point.loss)]
 
 
@@ -115,13 +101,6 @@ def front(combinations: Iterable[Combination], axis: str) -> list[Point]:
         if not kept or point.loss < kept[-1].loss:
             kept.append(point)
     return kept
-
-
-def best_within(combinations: Sequence[Combination], axis: str, cost: float) -> Point | None:
-    """Lowest loss for a cost, on a tie the cheapest combination; None if no loss is known."""
-    found = [Point(cost, each.loss_at(axis, cost), each) for each in combinations]
-    known = [point for point in found if np.isfinite(point.loss)]
-    return min(known, key=lambda p: (p.loss, p.combination.end(axis)), default=None)
 
 
 def combinations_of(results: Results) -> list[Combination]:
@@ -140,18 +119,13 @@ def combinations_of(results: Results) -> list[Combination]:
     return [Combination(*key, tuple(runs)) for key, runs in finished.items()]
 
 
-def advice(combinations: Sequence[Combination]) -> dict[str, Point | None]:
-    """The best point for each of `TIMES`; combinations: all of one task."""
-    return {name: best_within(combinations, "seconds", cost) for name, cost in TIMES.items()}
-
-
 def write_tables(out: Path, combinations: Sequence[Combination]) -> str:
     """Write tradeoff.md and the figures; returns the text of tradeoff.md."""
     parts = ["# Speed against accuracy"]
     for task in dict.fromkeys(each.task for each in combinations):
         mine = [each for each in combinations if each.task == task]
         loss = str(mine[0].runs[0].key.loss)
-        parts += [f"## {task}", _advice(mine), markdown(_table(mine, loss))]
+        parts += [f"## {task}", markdown(_table(mine, loss))]
         for axis in AXES:
             curves = {s.label: [(p.cost, p.loss) for p in s.points(axis)] for s in mine}
             best = [(point.cost, point.loss) for point in front(mine, axis)]
@@ -163,38 +137,13 @@ def write_tables(out: Path, combinations: Sequence[Combination]) -> str:
     return text
 
 
-def _advice(combinations: Sequence[Combination]) -> str:
-    """One line for each of `TIMES`, with a hint if the runs were too long or too short."""
-    lines = []
-    if len(combinations) > 1 and min(len(each.runs) for each in combinations) == 1:
-        lines.append("- one seed decides nothing; run at least five (--seeds 5 --resume)")
-    for name, point in advice(combinations).items():
-        if point is None:
-            lines.append(f"- best in {name}: no run had ended by then; give a smaller --budget")
-            continue
-        line = f"- best in {name}: `{point.combination.label}` ({point.loss:.4g})"
-        end = point.combination.end("seconds")
-        if end < TIMES[name]:
-            line += f", which ended after {end:.3g} s: give a larger --budget to use the time"
-        lines.append(line)
-    return "\n".join(lines)
-
-
 def _table(combinations: Sequence[Combination], loss: str) -> Table:
     on = {axis: {point.combination for point in front(combinations, axis)} for axis in AXES}
-    columns = [
-        "combination",
-        "runs",
-        "renders",
-        "seconds",
-        "ms per render",
-        loss,
-        "on the front of",
-    ]
+    titles = "combination", "runs", "renders", "seconds", "ms per render", loss, "on the front of"
     rows = []
     for s in sorted(combinations, key=lambda s: s.final):
         renders, seconds = s.end("renders"), s.end("seconds")
         numbers = f"{renders:.0f}", f"{seconds:.3g}", f"{1e3 * seconds / renders:.3g}"
         fronts = ", ".join(axis for axis in AXES if s in on[axis])
         rows.append([s.label, str(len(s.runs)), *numbers, f"{s.final:.4g}", fronts])
-    return Table("", [(name, "") for name in columns], rows)
+    return Table("", [(title, "") for title in titles], rows)

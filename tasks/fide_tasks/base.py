@@ -22,7 +22,7 @@ Image = NDArray[np.float32]  # (H, W, 3), or (n, H, W, 3) for a batch; values in
 Vector = NDArray[np.float64]
 
 _REFERENCE_FRAMES = 64  # frames of a noisy task whose mean is the reference
-_RESERVED = 2**100  # first noise seed of `reference` and `noise_level`
+_RESERVED = 2**100  # first noise seed of `reference`
 
 
 class Parameter(NamedTuple):
@@ -115,21 +115,6 @@ class Task(ABC):
         self._render(self._physical(x), out, self._noise_seeds(len(x), seed))
         return out
 
-    def noise_level(self, x: ArrayLike, frames: int = 16) -> Image:
-        """Estimate the standard error of a render of x, (dim,), per pixel: float32 (H, W, 3).
-
-        It is the standard deviation of `frames` renders, at least 2, with independent noise (the
-        same at each call), in units of the image; zero for a task without noise. A few frames miss
-        rare bright paths, so most pixels look less noisy than they are: average the square over the
-        image, or use more than a hundred frames.
-        """
-        values = self._one(x)
-        whole_number("frames", frames, minimum=2)
-        if not self.stochastic:
-            return np.zeros(self.shape, np.float32)
-        deviation: Image = self._frames(values, frames).std(axis=0, ddof=1)
-        return deviation
-
     def reference(self, x: ArrayLike) -> Image:
         """Render the reference image of x, (dim,): float32 (H, W, 3) with little or no noise.
 
@@ -168,10 +153,6 @@ class Task(ABC):
         from fide_tasks.named import space_of
 
         return space_of(self.parameters, self.alike)
-
-    def advice(self, loss: str) -> str | None:
-        """Say why another loss, or other options, would do better than this one; None for none."""
-        return None
 
     def check(self) -> None:
         """Render one frame to check that the task works on this machine; raises its error."""
@@ -243,24 +224,28 @@ class Task(ABC):
     def _noise_seeds(self, n: int, seed: int | Sequence[int] | None) -> NDArray[np.uint32]:
         if not self.stochastic:
             return np.zeros(n, np.uint32)
+        entropy: list[Any]
         if seed is None:
             first, self._frames_rendered = self._frames_rendered, self._frames_rendered + n
-            states = [np.random.SeedSequence((self.seed, first + i)) for i in range(n)]
-            return np.array([s.generate_state(1)[0] for s in states], np.uint32)
-        if isinstance(seed, Sequence) or np.ndim(seed):
-            seeds = [whole_number("seed", s, minimum=0) for s in seed]  # type: ignore[union-attr]
-            if len(seeds) != n:
-                raise ValueError(f"{len(seeds)} seeds for {n} candidates; pass one for each")
-            states = [np.random.SeedSequence(s) for s in seeds]
-            return np.array([s.generate_state(1)[0] for s in states], np.uint32)
-        state = np.random.SeedSequence(whole_number("seed", seed, minimum=0)).generate_state(n)
-        return state.astype(np.uint32, copy=False)
+            entropy = [(self.seed, first + i) for i in range(n)]
+        elif isinstance(seed, Sequence) or np.ndim(seed):
+            entropy = [whole_number("seed", s, minimum=0) for s in seed]  # type: ignore[union-attr]
+            if len(entropy) != n:
+                raise ValueError(f"{len(entropy)} seeds for {n} candidates; pass one for each")
+        else:
+            state = np.random.SeedSequence(whole_number("seed", seed, minimum=0)).generate_state(n)
+            return state.astype(np.uint32, copy=False)
+        return _first_words(entropy)
+
+
+def _first_words(entropy: list[Any]) -> NDArray[np.uint32]:
+    states = [np.random.SeedSequence(one).generate_state(1)[0] for one in entropy]
+    return np.array(states, np.uint32)
 
 
 def reserved_seeds(n: int, stream: int = 0) -> NDArray[np.uint32]:
     """Return n noise seeds, always the same, that differ from those of all other streams."""
-    states = [np.random.SeedSequence((_RESERVED + stream, i)) for i in range(n)]
-    return np.array([s.generate_state(1)[0] for s in states], np.uint32)
+    return _first_words([(_RESERVED + stream, i) for i in range(n)])
 
 
 def whole_number(name: str, value: Any, minimum: int) -> int:

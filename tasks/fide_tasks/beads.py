@@ -24,7 +24,6 @@ _WALL = 1.0 - _RADIUS
 _CEILING = 0.98 - _RADIUS  # the lamp hangs at 0.99
 _CAMERA_Z = 3.9
 _APART = 2.2  # least distance of the centers in a generated target, in radii
-_ENOUGH = 16  # samples per pixel with which `perceptual` finds the true beads better than one bead
 _IN_SIGHT = 0.8  # least distance of the beads on the screen, relative to the sum of their radii
 
 
@@ -59,18 +58,6 @@ class Beads(MitsubaTask):
         for i in range(_BEADS)
         for axis, high in (("x", _WALL), ("y", _CEILING), ("z", _WALL))
     )
-
-    def advice(self, loss: str) -> str | None:
-        """Say why `perceptual` and 16 paths, where a run has other ones; None elsewhere."""
-        if loss not in ("mse", "loi", "perceptual"):
-            return None
-        if loss == "perceptual" and self.spp >= _ENOUGH:
-            return None
-        return (
-            "beads: each bead adds noise, so mse and loi, and perceptual with less than "
-            f"{_ENOUGH} samples per pixel, may prefer a picture of one bead to the right one; take "
-            f"--loss perceptual and --spp {max(self.spp, _ENOUGH)}"
-        )
 
     def _scene(self, mi: Any) -> dict[str, Any]:
         scene: dict[str, Any] = mi.cornell_box()

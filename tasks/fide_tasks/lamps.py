@@ -16,7 +16,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fide_tasks.base import Image, Parameter, Vector, one_of, whole_number
+from fide_tasks.base import Image, Parameter, Vector, whole_number
 from fide_tasks.generated import GeneratedTask, axes, half_extent
 
 _KINDS = 6  # parameters of a lamp
@@ -36,8 +36,6 @@ class Lamps(GeneratedTask):
     Options
     -------
     lamps: number n of lamps, at least 1; by default 5.
-    layout: "block", the parameters of the first lamp, then of the next; or "strided", x of all
-        lamps, then y of all, and so on.
     target: a picture of the user's own, float (H, W, 3) in [0, 1], instead of a generated one.
 
     The 6 n + 2 parameters are x, y and height above the wall in sides, red, green and blue of each
@@ -55,11 +53,9 @@ class Lamps(GeneratedTask):
         seed: int = 0,
         *,
         lamps: int = 5,
-        layout: str = "block",
         target: ArrayLike | None = None,
     ) -> None:
         self.lamps = whole_number("lamps", lamps, minimum=1)
-        self.layout = one_of("layout", layout, ("block", "strided"))
         super().__init__(size, seed, target=target)
         across, down = half_extent(self.size)
         kinds = (
@@ -68,13 +64,8 @@ class Lamps(GeneratedTask):
             ("height", "sides", 0.06, 0.3),
             *((color, "0-1", 0.0, 1.0) for color in ("red", "green", "blue")),
         )
-        lamp_names = [f"lamp {i + 1}" for i in range(self.lamps)]
-        if self.layout == "block":
-            own = [Parameter(lamp, *kind) for lamp in lamp_names for kind in kinds]
-        else:
-            own = [Parameter(k, lamp, *range_) for k, *range_ in kinds for lamp in lamp_names]  # type: ignore[arg-type]
         self.parameters = (
-            *own,
+            *(Parameter(f"lamp {i + 1}", *kind) for i in range(self.lamps) for kind in kinds),
             Parameter("wall", "ambient", "0-1", 0.0, 0.3),
             Parameter("camera", "exposure", "stops", *_STOPS),
         )
@@ -82,10 +73,7 @@ class Lamps(GeneratedTask):
     @property
     def groups(self) -> list[list[int]]:
         """The parameters of each lamp."""
-        index = np.arange(_KINDS * self.lamps)
-        if self.layout == "block":
-            return index.reshape(self.lamps, _KINDS).tolist()
-        return index.reshape(_KINDS, self.lamps).T.tolist()
+        return np.arange(_KINDS * self.lamps).reshape(self.lamps, _KINDS).tolist()
 
     def _render(self, values: Vector, out: Image, seeds: NDArray[np.uint32]) -> None:
         shape = out.shape[1], out.shape[2]

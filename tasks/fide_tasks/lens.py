@@ -177,10 +177,7 @@ def _paint(frame: Image, u: Plane, v: Plane, pixel: float, seen: NDArray[np.bool
 
 
 def _wave(u: Plane, half: float, steep: np.float32) -> Plane:
-    """Return 1 in even and -1 in odd squares, with an edge of a pixel between them.
-
-    Beyond the last square, at `half`, its value goes on.
-    """
+    """Return 1 in even and -1 in odd squares, with an edge of a pixel between them."""
     within = np.clip(u, -half + 0.5 / steep, half - 0.5 / steep)
     within -= 2 * np.rint(within / 2 + np.float32(0.25)) - np.float32(0.5)  # in [-1, 1]
     triangle = np.float32(0.5) - np.abs(within)

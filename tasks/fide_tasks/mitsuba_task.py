@@ -8,7 +8,6 @@ box filter), so noise is independent between pixels, and of the number of thread
 
 from __future__ import annotations
 
-import time
 from abc import abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -42,11 +41,6 @@ class MitsubaTask(Task):
     reference_spp: samples per pixel of `reference` and of a generated target. None: default of the
         task.
     target: the user's own picture, float (H, W, 3) in [0, 1], instead of a generated one.
-
-    Attributes
-    ----------
-    times: seconds spent so far in "load", "update", "render" (its first frame compiles) and "copy"
-        (out of the renderer and encoded into the image), and the number of "frames".
     """
 
     stochastic = True
@@ -74,7 +68,6 @@ class MitsubaTask(Task):
         self.max_depth = _checked_depth(self.default_max_depth if max_depth is None else max_depth)
         self.threads = None if threads is None else whole_number("threads", threads, minimum=1)
         self.variant = mitsuba_variant.choose(variant)
-        self.times = {"load": 0.0, "update": 0.0, "render": 0.0, "copy": 0.0, "frames": 0}
         self._loaded: _Loaded | None = None
 
     @property
@@ -101,9 +94,7 @@ class MitsubaTask(Task):
     def _render(self, values: Vector, out: Image, seeds: NDArray[np.uint32]) -> None:
         with self.open():
             for v, seed, frame in zip(values, seeds.tolist(), out, strict=True):
-                radiance, start = self._draw(v, seed, self.spp), time.perf_counter()
-                to_srgb(radiance, frame)
-                self.times["copy"] += time.perf_counter() - start
+                to_srgb(self._draw(v, seed, self.spp), frame)
 
     def _reference(self, values: Vector) -> Image:
         return self._converged(values, stream=1)
@@ -131,26 +122,16 @@ class MitsubaTask(Task):
         """Load the scene if need be, and keep Mitsuba to this task."""
         with mitsuba_variant.in_variant(self.variant, self.threads) as mi:
             if self._loaded is None:
-                start = time.perf_counter()
                 self._loaded = _Loaded(self, mi)
-                self.times["load"] += time.perf_counter() - start
             yield
 
     def _draw(self, values: Vector, seed: int, spp: int) -> Image:
         """Linear radiance (H, W, 3) of physical values, (dim,); see `open`."""
         assert self._loaded is not None
-        scene, clock = self._loaded, time.perf_counter
-        start = clock()
+        scene = self._loaded
         self._update(scene.mi, scene.params, values)
         scene.params.update()
-        updated = clock()
-        tensor = scene.render(seed, spp)
-        rendered = clock()
-        radiance: Image = np.array(tensor)
-        self.times["update"] += updated - start
-        self.times["render"] += rendered - updated
-        self.times["copy"] += clock() - rendered
-        self.times["frames"] += 1
+        radiance: Image = np.array(scene.render(seed, spp))
         return radiance
 
     def __getstate__(self) -> dict[str, Any]:
@@ -191,15 +172,12 @@ class _Loaded:
 
 
 def _checked_depth(max_depth: int) -> int:
+    if max_depth == -1 and not isinstance(max_depth, bool):
+        return -1
     try:
-        depth = whole_number("max_depth", max_depth, minimum=-1)
-    except ValueError:
-        depth = 0
-    if depth == 0:
-        raise ValueError(
-            f"max_depth must be a whole number >= 1, or -1 for any length, not {max_depth!r}"
-        )
-    return depth
+        return whole_number("max_depth", max_depth, minimum=1)
+    except ValueError as error:
+        raise ValueError(f"{error}; -1 is any length") from None
 
 
 def to_srgb(radiance: NDArray[np.float32], out: NDArray[np.float32]) -> None:

@@ -202,10 +202,7 @@ def _export_library() -> None:
 
 
 def _check_variant(variant: str, llvm: str | None) -> str | None:
-    """Render in a process of its own; returns what went wrong.
-
-    Its home is empty, so that no kernel compiled by another library is found in a cache there.
-    """
+    """Render in a process of its own; returns what went wrong."""
     with tempfile.TemporaryDirectory() as home:
         environment = {"HOME": home, "TMP": home, "TEMP": home}
         environment["PYTHONUSERBASE"] = site.getuserbase()  # where packages of this user lie

@@ -10,7 +10,6 @@ import contextlib
 import os
 import sys
 import threading
-import time
 import weakref
 from collections.abc import Iterator
 from typing import Any
@@ -28,7 +27,7 @@ REMEDY = (
 
 _LOCK = threading.RLock()  # contexts come and go one at a time
 _open = threading.local()  # its `contexts`: those that are open in a thread, the current one last
-_THREADS = "LP_NUM_THREADS"  # of llvmpipe, read when the first context is made
+_THREADS = "LP_NUM_THREADS"  # of llvmpipe, read with the first context; a fork waits for them
 _opened_by: int | None = None  # the process that made the first context
 _outlives_fork = False  # whether a forked process may go on with what this one has opened
 
@@ -65,12 +64,10 @@ class Stage:
     data: MuJoCo's state of the model; its kinematics say where everything is when it is drawn.
     """
 
-    def __init__(
-        self, model: Any, size: tuple[int, int], camera: Any, *, samples: int, shadows: bool
-    ) -> None:
+    def __init__(self, model: Any, size: tuple[int, int], camera: Any) -> None:
         """Prepare images of (height, width) pixels; `camera` is an mjvCamera.
 
-        With `samples` > 0 so many points of a pixel are averaged. Raises OffscreenError.
+        Raises OffscreenError.
         """
         self._mujoco = mujoco = import_mujoco()
         self._model, self._camera, (height, width) = model, camera, size
@@ -78,10 +75,10 @@ class Stage:
         self._options = mujoco.MjvOption()
         self._options.sitegroup[:] = 0
         self._scene = mujoco.MjvScene(model, maxgeom=2 * model.ngeom + 16)
-        self._scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = shadows
-        self._scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = shadows
+        self._scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
+        self._scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
         model.vis.global_.offheight, model.vis.global_.offwidth = size
-        model.vis.quality.offsamples = samples
+        model.vis.quality.offsamples = 0
         self._view = mujoco.MjrRect(0, 0, width, height)
         self._pixels = np.empty((height, width, 3), np.uint8)
         self._context = _Context(mujoco, model, size)
@@ -97,25 +94,16 @@ class Stage:
         with self._context.current():
             yield
 
-    def draw(self, out: NDArray[np.float32], times: dict[str, float]) -> None:
-        """Draw what `data` describes into out, (height, width, 3), values in [0, 1].
-
-        The seconds that it takes are added to "update", "render" and "copy" of `times`.
-        """
+    def draw(self, out: NDArray[np.float32]) -> None:
+        """Draw what `data` describes into out, (height, width, 3), values in [0, 1]."""
         mujoco, everything = self._mujoco, self._mujoco.mjtCatBit.mjCAT_ALL.value
-        start = time.perf_counter()
         mujoco.mjv_updateScene(
             self._model, self.data, self._options, None, self._camera, everything, self._scene
         )
-        updated = time.perf_counter()
         mujoco.mjr_render(self._view, self._scene, self._context.renderer)
         mujoco.mjr_finish()
-        rendered = time.perf_counter()
         mujoco.mjr_readPixels(self._pixels, None, self._view, self._context.renderer)
         np.multiply(self._pixels[::-1], np.float32(1 / 255), out=out)  # OpenGL counts rows upward
-        times["update"] += updated - start
-        times["render"] += rendered - updated
-        times["copy"] += time.perf_counter() - rendered
 
 
 class _Context:
@@ -153,14 +141,8 @@ class _Context:
         except (ValueError, mujoco.FatalError) as error:
             raise OffscreenError(
                 f"OpenGL cannot draw images of {size[0]} x {size[1]} pixels here ({error}): choose "
-                "a smaller size or fewer samples"
+                "a smaller size"
             ) from error
-        asked, there = model.vis.quality.offsamples, self.renderer.offSamples
-        if there != asked:
-            raise OffscreenError(
-                f"OpenGL draws with {there} samples a pixel here, not {asked}: choose "
-                + " or ".join(f"samples={n}" for n in sorted({0, there}))
-            )
 
     @contextlib.contextmanager
     def current(self) -> Iterator[None]:
@@ -220,11 +202,7 @@ def _egl_of(context: Any) -> Any:
 
 @contextlib.contextmanager
 def _single_threaded() -> Iterator[None]:
-    """Keep llvmpipe to the thread that draws, unless the user has said how many it may have.
-
-    At these sizes its threads gain nothing, and they would be missing in a forked process, which
-    would wait for them forever.
-    """
+    """Keep llvmpipe to the thread that draws, unless the user has said how many it may have."""
     before = os.environ.get(_THREADS)
     os.environ.setdefault(_THREADS, "0")
     try:

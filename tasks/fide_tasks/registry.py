@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import importlib
 import inspect
-from collections.abc import Iterable
-from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -73,7 +71,7 @@ def make(name: str, size: int | tuple[int, int] = 224, seed: int = 0, **options:
     known = _option_defaults(task_class)
     for option in options:
         if option not in known:
-            has = f"it has {', '.join(sorted(known))}{_closest(option, known)}"
+            has = f"it has {', '.join(sorted(known))}"
             raise ValueError(f"{name} has no option {option!r}; {has}")
     task: Task = task_class(size, seed, **options)
     return task
@@ -82,14 +80,9 @@ def make(name: str, size: int | tuple[int, int] = 224, seed: int = 0, **options:
 def _load(name: str) -> Any:
     if name not in _TASKS:
         known = f"the tasks: {', '.join(names('all'))}"
-        raise ValueError(f"no task is named {name!r}; {known}{_closest(name, _TASKS)}")
+        raise ValueError(f"no task is named {name!r}; {known}")
     module, attribute = _TASKS[name]
     return getattr(importlib.import_module(module), attribute)
-
-
-def _closest(name: str, known: Iterable[str]) -> str:
-    close = get_close_matches(str(name), list(known), n=1)
-    return f"; did you mean {close[0]!r}?" if close else ""
 
 
 def _option_defaults(task_class: Any) -> dict[str, Any]:

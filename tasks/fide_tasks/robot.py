@@ -10,17 +10,17 @@ from __future__ import annotations
 
 import contextlib
 import threading
-import time
-from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fide_tasks import isolated, panda, robot_model
-from fide_tasks.base import Image, Parameter, Task, Vector, whole_number
+from fide_tasks import isolated, panda
+from fide_tasks.base import Image, Parameter, Task, Vector
 from fide_tasks.offscreen import OffscreenError, Stage, import_mujoco
 
+_MODEL = Path(__file__).parent / "mjcf" / "panda.xml"
 _CHECK_SECONDS = 60.0  # limit for the first frame, which usually takes less than one second
 _CHECK = """
 import sys
@@ -39,26 +39,14 @@ class Robot(Task):
 
     Options
     -------
-    model: a file instead of the built-in arm, such as the panda.xml of MuJoCo Menagerie with its
-        meshes. It needs seven hinge joints, of names that end in joint1 to joint7, and its base at
-        the origin; other joints keep their first position. A model with a floor keeps its own
-        lamps and sky; one without is put on our floor, in our light.
-    samples: points averaged per pixel (multisampling): 0, or a number that OpenGL supports, such as
-        4; other numbers raise OffscreenError when the first frame is drawn.
-    shadows: whether lamps cast shadows and reflecting floors reflect.
     target: the user's own picture, float (H, W, 3) in [0, 1], instead of a generated one.
 
     The x_star of a generated target depends on `seed` alone, its picture on all options. It is a
     pose that touches neither itself nor the floor, as far as links of simple shape can tell, of
     which our camera sees nearly all, and the long links from the side.
 
-    A pixel is what lies at its center: links move from pixel to pixel in steps unless there are
-    `samples`. One frame takes about 2.5 ms at 224 x 224 on one core without a GPU.
-
-    Attributes
-    ----------
-    times: seconds spent so far in "load" (the model, and OpenGL), "update" (kinematics), "render"
-        and "copy", and the number of "frames".
+    A pixel is what lies at its center: links move from pixel to pixel in steps. One frame takes
+    about 2.5 ms at 224 x 224 on one core without a GPU.
     """
 
     name = "robot"
@@ -72,35 +60,14 @@ class Robot(Task):
         size: int | tuple[int, int] = 224,
         seed: int = 0,
         *,
-        model: str | PathLike[str] | None = None,
-        samples: int = 0,
-        shadows: bool = False,
         target: ArrayLike | None = None,
     ) -> None:
         super().__init__(size, seed, picture=target)
-        self.samples = whole_number("samples", samples, minimum=0)
-        if not isinstance(shadows, bool):
-            raise ValueError(f"shadows must be True or False, not {shadows!r}")
-        self.shadows = shadows
-        self.times = {"load": 0.0, "update": 0.0, "render": 0.0, "copy": 0.0, "frames": 0}
-        start = time.perf_counter()
-        file = robot_model.find(model)
-        self._model: Any = robot_model.load(file)
-        self._joints = robot_model.joints(self._model, file)
-        self._places = self._model.jnt_qposadr[self._joints]
-        self.times["load"] += time.perf_counter() - start
+        self._model: Any = import_mujoco().MjModel.from_xml_path(str(_MODEL))
+        joints = [self._model.joint(f"joint{i + 1}").id for i in range(panda.JOINTS)]
+        self._places = self._model.jnt_qposadr[joints]
         self._stage: Stage | None = None
         self._lock = threading.Lock()
-
-    def link_poses(self, x: ArrayLike) -> Vector:
-        """Poses T, (7, 4, 4), of the seven links for one candidate x, (dim,), by MuJoCo."""
-        data = import_mujoco().MjData(self._model)
-        self._pose(data, self._one(x))
-        links = self._model.jnt_bodyid[self._joints]
-        poses = np.tile(np.eye(4), (len(links), 1, 1))
-        poses[:, :3, :3] = data.xmat[links].reshape(-1, 3, 3)
-        poses[:, :3, 3] = data.xpos[links]
-        return poses
 
     def check(self) -> None:
         """Draw a frame of the built-in arm in another process, since an OpenGL driver may crash.
@@ -123,19 +90,11 @@ class Robot(Task):
             return
         with self._lock:
             if self._stage is None:
-                start = time.perf_counter()
-                self._stage = Stage(
-                    self._model, self.size, self._view(),
-                    samples=self.samples, shadows=self.shadows,
-                )  # fmt: skip
-                self.times["load"] += time.perf_counter() - start
+                self._stage = Stage(self._model, self.size, self._view())
             with self._stage.open():
                 for q, frame in zip(values, out, strict=True):
-                    start = time.perf_counter()
                     self._pose(self._stage.data, q)
-                    self.times["update"] += time.perf_counter() - start
-                    self._stage.draw(frame, self.times)
-            self.times["frames"] += len(values)
+                    self._stage.draw(frame)
 
     def _pose(self, data: Any, q: Vector) -> None:
         """Set the joints and compute the poses of links, lamps and cameras."""

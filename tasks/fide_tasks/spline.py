@@ -104,12 +104,7 @@ class Spline(Task):
 
 
 def _basis(m: int, pixels: int) -> tuple[Vector, Vector]:
-    """Return the B-spline basis and its derivative at samples along the curve, each (s, m).
-
-    Degree 2, or 1 for two control points; the knots are uniform and clamped, so the curve starts at
-    the first control point and ends at the last. `pixels` is the longer side of the image: polygons
-    leave a curve by the square of their step, so the number of samples grows with its root.
-    """
+    """Return the B-spline basis and its derivative at samples along the curve, each (s, m)."""
     from scipy.interpolate import BSpline
 
     degree = min(_DEGREE, m - 1)
@@ -151,11 +146,7 @@ def _crossed(left: Vector, right: Vector, T: Vector) -> list[bool]:
 
 
 def _round_ends(T: Vector, t: float) -> NDArray[np.bool_]:
-    """Which samples get a disc: both ends, and bends whose outside the quadrilaterals would cut.
-
-    Across a turn of angle a the outer arc rises t / 2 (1 - cos(a / 2)), about t (1 - cos a) / 8,
-    above its chord.
-    """
+    """Which samples get a disc: both ends, and bends whose outside the quadrilaterals would cut."""
     bend = t / 8 * (1 - np.einsum("ij,ij->i", T[:-1], T[1:])) > _CORNER
     ends = np.ones(len(T), np.bool_)
     ends[1:-1] = bend[:-1] | bend[1:]

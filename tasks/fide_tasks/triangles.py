@@ -132,12 +132,7 @@ def _paint(frame: Image, corners: Vector, paint: Plane, background: float) -> No
 
 
 def _edges(corners: Vector) -> tuple[Plane, Plane]:
-    """Distance to the lines of the edges, (T, 3, 3), and how sharp a triangle is, (T, 1).
-
-    Of a triangle with corners (3, 2) in pixels, three rows (a, b, c): a x + b y + c is the distance
-    of (x, y) from a line, positive inside. One that is thinner than a pixel fades as it vanishes:
-    sharpness is the diameter of the circle in it, at most 1.
-    """
+    """Distance to the lines of the edges, (T, 3, 3), and how sharp a triangle is, (T, 1)."""
     along = np.roll(corners, -1, axis=1) - corners
     double = along[:, 0, 0] * along[:, 1, 1] - along[:, 0, 1] * along[:, 1, 0]  # area, signed
     length = np.maximum(np.hypot(along[..., 0], along[..., 1]), 1e-9)

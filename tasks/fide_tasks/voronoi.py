@@ -102,12 +102,7 @@ class Voronoi(Task):
 
 
 def _runs(c: Vector, height: int, width: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the nearest centers along the image as runs: which cell, over how many pixels.
-
-    On a row at height y the squared distances (x - c_x)^2 + (y - c_y)^2 differ by functions linear
-    in x, so the nearest cells are the lower envelope of n lines: cells in order of c_x, each on one
-    interval [start, stop]. c must be sorted by x.
-    """
+    """Return the nearest centers along the image as runs: which cell, over how many pixels."""
     y = np.arange(height) + 0.5
     w = (c[:, :1] ** 2) + (y - c[:, 1:]) ** 2  # (n, H)
     start, stop = np.full_like(w, -np.inf), np.full_like(w, np.inf)
@@ -152,11 +147,7 @@ def _distance(c: Vector, height: int, width: int) -> Vector:
 
 
 def _spread_centers(rng: np.random.Generator, n: int, height: int, width: int) -> Vector:
-    """Draw n centers in [0, 1]^2, none of whose cells is tiny on a grid of this shape.
-
-    Uniform draws, moved half the way to the centroids of their cells (Lloyd's relaxation) until
-    they pass: as irregular as the rule lets them be.
-    """
+    """Draw n centers in [0, 1]^2, none of whose cells is tiny on a grid of this shape."""
     scale = np.array([width, height])
     rows, columns = np.indices((height, width)) + 0.5
     centers = rng.random((n, 2))

@@ -159,23 +159,6 @@ def test_the_search_begins_at_the_first_enqueued_trial() -> None:
 
 
 @pytest.mark.parametrize(
-    "enqueue", [{"x": 0.2}, {"x": 0.2, "gray": "dark"}, {"x": 7.0, "gray": 0.5}]
-)
-def test_an_enqueued_trial_that_is_no_point_of_the_space_is_no_start(enqueue: Params) -> None:
-    space = {name: DISTRIBUTIONS[name] for name in ("x", "gray")}
-    sampler = FIDESampler(TARGET, seed=0, search_space=space)
-    study = optuna.create_study(sampler=sampler)
-    assert sampler.counts(study) == {}
-    study.enqueue_trial(enqueue)
-    study.ask()
-    trial = study.ask()
-    plain = optuna.create_study(sampler=FIDESampler(TARGET, seed=0, search_space=space))
-    plain.ask()
-    expected = plain.ask().relative_params
-    assert trial.relative_params == expected
-
-
-@pytest.mark.parametrize(
     "parametrization",
     [
         ng.p.Array(shape=(3,), lower=0, upper=1),
@@ -188,9 +171,3 @@ def test_an_initial_value_that_nevergrad_has_chosen_is_no_guess(parametrization:
     with pytest.warns(Warning, match="has no target"):
         optimizer.ask()
     assert optimizer.fide.guess is None
-
-
-def test_an_initial_value_without_bounds_is_one() -> None:
-    parametrization = ng.p.Array(init=[3.0, -40.0, 0.1])
-    optimizer = ParametrizedFIDE(target=TARGET, seed=0)(parametrization, budget=9)
-    np.testing.assert_array_equal(optimizer.ask().value, [3.0, -40.0, 0.1])

@@ -9,7 +9,6 @@ import numpy as np
 
 from fide_adapters.image_loss import is_image
 from fide_adapters.nevergrad import ParametrizedFIDE
-from fide_adapters.optuna import FIDESampler
 from fide_plugins import FIDE
 from fide_plugins.types import Float32
 
@@ -32,21 +31,6 @@ SETTINGS: dict[str, Any] = {"mask": [None, MASK], "seed": 0, "popsize": 6}
 
 def core() -> FIDE:
     return FIDE(DIM, TARGETS, **SETTINGS)
-
-
-def test_a_single_mask_is_that_of_all_views_of_its_size() -> None:
-    targets = [TARGETS[1], 1 - TARGETS[1]]
-    box = ng.p.Array(shape=(DIM,), lower=0, upper=1)
-    made: list[tuple[Any, Any]] = []
-    for mask in (MASK, [MASK, MASK]):
-        optimizer: Any = ParametrizedFIDE(target=targets, mask=mask, seed=0)(box)
-        optimizer.ask()
-        sampler = FIDESampler(targets, mask=mask, seed=0)
-        images = sampler._settings.images
-        assert images is not None
-        made.append((optimizer.fide.encoder.version, images.evaluator.encoder.version))
-    assert made[0] == made[1]
-    assert made[0] != (FIDE(DIM, targets).encoder.version,) * 2
 
 
 def test_targets_and_masks_are_settings() -> None:

@@ -57,15 +57,13 @@ class Line(nn.Module):
         return self.weights[0] * z + self.weights[1] * context[0][0][:, 0]
 
 
-def train(
-    epochs: int, batch_size: int, seed: int = 0, lr: float = 0.05, objective: XLoss | None = None
-) -> tuple[Line, Tensor]:
+def train(epochs: int, batch_size: int, seed: int = 0, lr: float = 0.05) -> tuple[Line, Tensor]:
     x = gaussian(50)
     line = Line()
     losses = fit(
         cast(Any, line),  # what `fit` uses of a network
         x_prediction,
-        objective or XLoss(),
+        XLoss(),
         torch.optim.Adam(line.parameters(), lr=lr),
         x,
         (x - 0.5)[:, None],
@@ -91,22 +89,6 @@ def test_loss_of_an_epoch_is_the_mean_over_its_pairs() -> None:
     """With steps too small to matter, and no image yet: E[x_hat - x]^2 with x_hat = 1/2."""
     _, losses = train(epochs=1, batch_size=20, lr=1e-12)
     assert float(losses[0]) == pytest.approx(float((gaussian(50) - 0.5).square().mean()), rel=1e-5)
-
-
-def test_a_batch_that_memory_was_too_small_for_draws_again_what_it_drew() -> None:
-    """As if it had been of half the size from the beginning, from the same seed."""
-
-    class Full(XLoss):
-        def __call__(self, *given: Any) -> Tensor:
-            loss = super().__call__(*given)
-            if len(given[1]) > 10:
-                raise torch.OutOfMemoryError("out of memory")
-            return loss
-
-    with pytest.warns(RuntimeWarning, match="memory"):
-        line, losses = train(epochs=2, batch_size=20, objective=Full())
-    half, of_half = train(epochs=2, batch_size=10)
-    assert torch.equal(line.weights, half.weights) and torch.equal(losses, of_half)
 
 
 def test_adam_continues_bit_for_bit() -> None:

@@ -66,7 +66,7 @@ def test_one_vector_is_one_token(target: Float32) -> None:
         (lambda images: quarters(images) / 0.0, "finite floats.*torch.float32"),
         (lambda images: "features", "finite floats"),
         (lambda images: None, "returned NoneType"),
-        (lambda images: quarters(images) - quarters(images).mean(0), "same features in every"),
+        (lambda images: quarters(images) - quarters(images).mean(0), "same values in every"),
         (lambda images: images.permute(0, 3, 1, 2), "tried on two images.*AttributeError"),
     ],
 )

@@ -14,6 +14,7 @@ import re
 import socket
 import struct
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -112,19 +113,19 @@ def refused(
 
 
 def checked(body: bytes) -> bytes:
-    """The file of a body, with its true length and checksum."""
+    """The file of a body, with its true checksum."""
     digest = hashlib.blake2b(body, digest_size=32).digest()
-    return b"\x89FIDE\r\n\x1a" + struct.pack("<IQ", checkpoint.VERSION, len(body)) + digest + body
+    return b"\x89FIDE\r\n\x1a" + struct.pack("<I", checkpoint.VERSION) + digest + body
 
 
 def parts(path: Path) -> tuple[bytes, Callable[[bytes], bytes]]:
     """JSON of a checkpoint, and what makes a file of such JSON and the same arrays."""
-    body = path.read_bytes()[52:]
+    body = path.read_bytes()[44:]
     (length,) = struct.unpack("<Q", body[:8])
-    arrays = body[8 + length + -(8 + length) % 64 :]
+    arrays = body[8 + length :]
 
     def whole(text: bytes) -> bytes:
-        return checked(struct.pack("<Q", len(text)) + text + bytes(-(8 + len(text)) % 64) + arrays)
+        return checked(struct.pack("<Q", len(text)) + text + arrays)
 
     return body[8 : 8 + length], whole
 
@@ -137,8 +138,9 @@ def test_models(tmp_path: Path) -> None:
 
     def read(path: Path) -> None:
         model = Model.load(path)
-        X = model.sample(np.zeros((*model.size, 3)), 2)
-        assert X.shape == (2, model.dim) and (X >= 0).all() and (X <= 1).all()
+        with suppress(ImageError):  # it says that it has learned images of another aspect
+            X = model.sample(np.zeros((*model.size, 3)), 2)
+            assert X.shape == (2, model.dim) and (X >= 0).all() and (X <= 1).all()
         assert repr(model) and str(model.report)
 
     count = refused(tmp_path / "mutant", text, read, CheckpointError, mutant_of_json, whole)

@@ -209,3 +209,18 @@ def test_ctrl_c_around_the_answer_ends_the_fit_as_it_was() -> None:
     result = of_one(interrupted, 0.6)
     assert calls == solved.evaluations + 4
     assert result.stopped == solved.stopped == "solved" and result.std_renders == 0
+
+
+def test_slopes_of_jumps_say_nothing_of_a_photograph() -> None:
+    """Pixels that are black or white jump; a search's samples say more."""
+
+    def hard(p: Mapping[str, Any]) -> Float64:
+        return np.where(np.hypot(U - p["x"], V - p["y"]) < 0.3, 0.8, 0.2)
+
+    target, space = hard({"x": 0.62, "y": 0.43}), Space(x=Float(0, 1), y=Float(0, 1))
+    found = [
+        fit(hard, target, space, budget=160, workers=0, seed=0, photo=photo)
+        for photo in (False, True)
+    ]
+    assert [one.std_renders > 0 for one in found] == [True, False]
+    assert np.isfinite(deviations(found[1])).all()

@@ -190,9 +190,13 @@ def test_a_fit_is_stalled_after_many_moves(
     code: str, improved_at: int, evaluations: int, over: str | None
 ) -> None:
     """With a population of eight."""
-    grain = SimpleNamespace(variance=0.01)
+    pixel_noise = SimpleNamespace(variance=0.01)
     state = SimpleNamespace(
-        evaluations=evaluations, improved_at=improved_at, retargeted_at=0, grain=grain, best=None
+        evaluations=evaluations,
+        improved_at=improved_at,
+        retargeted_at=0,
+        pixel_noise=pixel_noise,
+        best=None,
     )
     optimizer: Any = SimpleNamespace(
         popsize=8, dim=4, state=state, status=SimpleNamespace(code=code),
@@ -213,19 +217,11 @@ def test_a_fit_is_stalled_after_many_moves(
         ({"budget": 0}, "budget must be a whole number >= 1, not 0"),
         ({"budget": None}, "budget=None needs another rule"),
         ({"until": "sol"}, "until must be 'solved', 'stalled', 'budget', not 'sol"),
-        ({"max_failures": 1.5}, "max_failures"),
-        ({"time": "soon"}, "time must be a positive number of seconds, or a text"),
-        ({"time": -1}, "time must be a positive number"),
         ({"stop_at": "low"}, "stop_at must be a finite number"),
-        ({"stop_at": 10**400}, "stop_at must be a finite number"),
-        ({"workers": -1}, "workers must be a whole number >= 0"),
         ({"workers": 0, "timeout": 3}, "timeout needs a worker that can be killed"),
-        ({"workers": 0, "executor": "threads"}, "leave out executor"),
         ({"executor": "ship"}, "executor must be 'processes', 'threads'"),
         ({"resume": True}, "resume=True needs the run directory"),
-        ({"resume": "runs/first", "out": "x"}, "resume must be True or False, not 'runs/first'"),
         ({"callbacks": [3]}, "a callback must be a function or have one of on_start"),
-        ({"progress": 3, "workers": 0}, "progress must be True, False, None or a function"),
         ({"popsiz": 3}, "fit has no option 'popsiz' .did you mean 'popsize'"),
     ],
 )

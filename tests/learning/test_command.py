@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from PIL import Image
 
 from fide_plugins.cli import main
 from fide_plugins.learning import Model
@@ -78,10 +77,6 @@ def test_a_task_is_learned(capsys: pytest.CaptureFixture[str]) -> None:
         (("voronoi", "--time", "soon"), "time must be a positive number"),
         (("voronoi", "--timeout", "5"), "--timeout is of --command; leave it out"),
         (("gradient.py:render", "--timeout", "5"), "--timeout is of --command; leave it out"),
-        (("voronoi", "--groups", "0,1"), "a list such as [[0,1],[2,3]], or [], not '0,1'"),
-        (("voronoi", "--groups", "[[0,1]"), "a value in brackets is a list such as"),
-        (("voronoi", "--groups", "[0,1]"), "groups must be at least two lists"),
-        (("voronoi", "--groups", "[]", "--emulator"), "an emulator needs exchangeable blocks"),
         (("gradient.py:render", "--render-size", "32"), "--render-size is of built-in tasks"),
     ],
 )
@@ -91,31 +86,6 @@ def test_wrong_usage_is_one_line(
     assert fide("learn", *words, "--out", "m.fide") == 2
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1
-
-
-def learned_gradient() -> tuple[object, ...]:
-    """Write the renderer, its model m.fide and a target t.png; the words that learn again."""
-    Path("gradient.py").write_text(SCENE)
-    learn = ("learn", "gradient.py:render", "--size", 16, "--out", "m.fide", "--passes", 1)
-    assert fide(*learn, "--renders", 100) == 0
-    Image.new("L", (16, 16), 100).save("t.png")
-    return learn
-
-
-@pytest.mark.filterwarnings("always:the model has learned", "ignore:the model of")
-def test_a_model_of_another_state_of_the_file_is_noticed(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    learned_gradient()
-    words = ("--renderer", "gradient.py:render", "--workers", 0, "--budget", 5)
-    capsys.readouterr()
-    assert fide("fit", "t.png", *words, "--learned", "m.fide") == 0
-    assert "is not what renders here" not in capsys.readouterr().err
-    Path("other").mkdir()
-    Path("other/gradient.py").write_text(SCENE + "# mended\n")
-    words = ("--renderer", "other/gradient.py:render", *words[2:])
-    assert fide("fit", "t.png", *words, "--learned", "m.fide") == 0
-    assert "learned 'gradient.py:render', and that is not what" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM])

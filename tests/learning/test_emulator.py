@@ -4,21 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from torch import Tensor, nn
 
-from fide_plugins.errors import CheckpointError, OptionError
+from fide_plugins.errors import OptionError
 from fide_plugins.learning import LearnProgress, Model, emulator as inversion, learn
-from fide_plugins.learning.emulator import Emulator, _bounded, _free, inverted
+from fide_plugins.learning.emulator import Emulator, inverted
 from fide_plugins.learning.hypotheses import posterior_of
 from fide_plugins.learning.networks import as_input
 from fide_plugins.learning.renders import Pixels
 from fide_plugins.learning.training import Training
-from fide_plugins.runtime import checkpoint
 from fide_plugins.types import Float64
 
 SIDE, SIZE = 16, (16, 16)
@@ -121,42 +118,6 @@ def test_descents_find_what_the_emulator_made(trained: tuple[Emulator, float]) -
         least.append(float(errors[0] / emulator.variance))
     assert np.median(least) < 1e-3
     assert all(weight.grad is None for weight in emulator.parameters())
-
-
-@pytest.mark.parametrize("n", [2, 40])
-@pytest.mark.parametrize("pictures", [1, 5])
-def test_errors_of_many_are_the_same_in_parts(
-    n: int, pictures: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Parts of the points, and of the places of one point; with more blocks they are smaller."""
-    emulator = tell_apart(Emulator(SIZE, [False] * 2 * n, np.arange(2 * n).reshape(n, 2).tolist()))
-    generator, seen = torch.Generator().manual_seed(0), []
-    u = torch.rand(5, 2 * n, generator=generator)
-    images = torch.rand(pictures, 3, *SIZE, generator=generator)
-    with torch.no_grad():
-        whole = emulator.errors(images, u, EVERYWHERE)
-
-    def note(module: nn.Module, given: tuple[Tensor, Tensor], colors: Tensor) -> None:
-        seen.append(colors.shape[0] * colors.shape[1] * (500 + 64 * n))
-
-    emulator.register_forward_hook(note)
-    for numbers in (2**14, 2**18, 2**25):
-        monkeypatch.setattr("fide_plugins.learning.emulator._NUMBERS", numbers)
-        errors = emulator.errors_of_many(images, u, EVERYWHERE)
-        torch.testing.assert_close(errors, whole)
-        assert max(seen) <= numbers
-        seen.clear()
-
-
-def test_descents_go_around_circles_and_stay_in_the_box() -> None:
-    periodic = torch.tensor([True, False])
-    u = torch.tensor([[0.0, 0.0], [0.25, 0.25], [0.999, 0.999]])
-    free = _free(u, periodic)
-    torch.testing.assert_close(_bounded(free, periodic), u, atol=2e-3, rtol=0)
-    turned = free + torch.tensor([4.0, 0.0])
-    torch.testing.assert_close(_bounded(turned, periodic), _bounded(free, periodic))
-    far = _bounded(free + 1e3, periodic)
-    assert ((far >= 0) & (far <= 1)).all()
 
 
 # -- in a model ------------------------------------------------------------------------------------
@@ -278,37 +239,3 @@ def test_an_interrupted_training_goes_on_bit_for_bit(tmp_path: Path) -> None:
     for name, weight in whole.emulator.state_dict().items():
         assert torch.equal(weight, resumed.emulator.state_dict()[name]), name
     assert resumed.report.emulated == whole.report.emulated
-
-
-def damaged(state: dict[str, Any], how: str) -> dict[str, Any]:
-    """State of a model with something wrong about its emulator."""
-    weights, report = dict(state["emulator"]), dict(state["report"])
-    if how == "a weight is missing":
-        del weights["mean"]
-    elif how == "a weight is of another size":
-        weights["mean"] = weights["mean"][:-1]
-    elif how == "a weight too many":
-        weights["other"] = weights["mean"]
-    elif how == "no weights":
-        weights = {}
-    elif how == "no blocks":
-        return {**state, "blocks": []}
-    else:
-        report["emulated"] = "all of it"
-    return {**state, "emulator": weights, "report": report}
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize(
-    "how",
-    [
-        "a weight is missing", "a weight is of another size", "a weight too many", "no weights",
-        "no blocks", "no number in the report",
-    ],
-)  # fmt: skip
-def test_a_damaged_emulator_is_refused(model: Model, tmp_path: Path, how: str) -> None:
-    model.save(tmp_path / "m.fide")
-    state = checkpoint.read(tmp_path / "m.fide", "learned model")
-    checkpoint.write(tmp_path / "m.fide", "learned model", damaged(state, how))
-    with pytest.raises(CheckpointError, match=r"m\.fide: a model with impossible contents"):
-        Model.load(tmp_path / "m.fide")

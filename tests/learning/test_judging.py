@@ -11,7 +11,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from fide_plugins.errors import CheckpointError
 from fide_plugins.learning import Model, learn
 from fide_plugins.learning.judging import (
     LARGEST_SCALE,
@@ -23,7 +22,6 @@ from fide_plugins.learning.judging import (
     split_held_out,
 )
 from fide_plugins.learning.networks import Components, Network, as_input
-from fide_plugins.runtime import checkpoint
 from fide_plugins.space import Float, Space
 from fide_plugins.types import Float64, Indices
 from tests.learning.conftest import SIDE
@@ -41,20 +39,6 @@ def network(blocks: list[list[int]]) -> Network:
 
 def drawn(of: Network, n: int, seed: int = 0) -> Tensor:
     return of.sample(as_input(PICTURE), n, torch.Generator().manual_seed(seed))
-
-
-@pytest.mark.parametrize("blocks", KINDS)
-def test_a_scale_of_one_changes_nothing(blocks: list[list[int]]) -> None:
-    plain, scaled = network(blocks), network(blocks)
-    scaled.scale = 2.0
-    u = drawn(plain, 50)
-    p = plain.log_prob(as_input(PICTURE), u)
-    assert not torch.equal(p, scaled.log_prob(as_input(PICTURE), u))
-    assert not torch.equal(u, drawn(scaled, 50))
-    scaled.scale = 1.0
-    assert torch.equal(p, scaled.log_prob(as_input(PICTURE), u))
-    assert torch.equal(u, drawn(scaled, 50))
-    assert plain.state_dict().keys() == scaled.state_dict().keys()
 
 
 def narrow(of: Network, to: float) -> None:
@@ -138,14 +122,6 @@ def test_the_scale_comes_with_the_file(tmp_path: Path) -> None:
     assert again.report == model.report
     picture = gray([0.4])
     np.testing.assert_array_equal(again.sample(picture, 8), model.sample(picture, 8))
-
-
-def test_an_impossible_scale_is_refused(learned: Path, tmp_path: Path) -> None:
-    state = checkpoint.read(learned, "learned model")
-    state["scale"] = -1.0
-    checkpoint.write(tmp_path / "m", "learned model", state)
-    with pytest.raises(CheckpointError, match="scale"):
-        Model.load(tmp_path / "m")
 
 
 def features(rng: np.random.Generator, n: int, spread: float = 0.2) -> Float64:

@@ -250,15 +250,6 @@ def test_too_little_time_is_said() -> None:
         learn(plain, 2, size=SIDE, time=1e-9)
 
 
-def test_foreign_files_in_the_folder_are_ignored(tmp_path: Path) -> None:
-    store = RenderStore(tmp_path, settings())
-    for name in ("notes.npz", "1.npz", "000001 copy.npz"):
-        (tmp_path / name).write_bytes(b"")
-    fill(store, as_renderer(plain, 2), 200)
-    again = RenderStore(tmp_path, settings())
-    assert len(again.read(200)[0]) == 200 and len(again.examples(8)[0]) == 8
-
-
 def test_any_damaged_file_is_a_checkpoint_error(tmp_path: Path) -> None:
     options: dict[str, Any] = {"renders": 200, "size": SIDE, "passes": 1}
     model, renders = tmp_path / "m", tmp_path / "m.renders"
@@ -272,11 +263,6 @@ def test_any_damaged_file_is_a_checkpoint_error(tmp_path: Path) -> None:
         with pytest.raises(CheckpointError, match=f"{file.name}: damaged.*; {remedy}$"):
             learn(plain, 2, out=model, **options)
         file.write_bytes(whole)
-
-
-def test_time_is_kept() -> None:
-    model = learn(plain, 2, renders=100, size=SIDE, passes=10_000, time="0.3s")
-    assert 1 <= len(model.report.curve) < 10_000
 
 
 @pytest.mark.parametrize(
@@ -317,16 +303,6 @@ def test_groups_of_nobody_mean_that_nothing_is_exchangeable(tmp_path: Path) -> N
     assert learn(task, groups=[], out=tmp_path / "m", **arguments).blocks == ()
     assert Model.load(tmp_path / "m").blocks == ()
     assert learn(task, groups=groups, **arguments).blocks == tuple(map(tuple, groups))
-
-
-def test_a_renderer_that_fails_at_once_says_why() -> None:
-    def broken(params: object) -> object:
-        raise KeyError("color")
-
-    with pytest.raises(RenderError, match="KeyError: 'color'"):
-        learn(broken, SPACE)
-    with pytest.raises(OptionError, match="needs its space"):
-        learn(plain)
 
 
 def test_the_global_generator_is_left_alone(model: Model) -> None:

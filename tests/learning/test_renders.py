@@ -402,24 +402,3 @@ def test_a_renderer_that_fails_now_says_so(model: Path) -> None:
     with pytest.raises(RenderError, match="failed for most parameters .*: ValueError: no light"):
         learned(broken, model, 200)
     assert contents(model) == there
-
-
-def test_the_command_goes_on_or_says_what_differs(
-    empty_folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """States of a file lie in folders, as a file is imported once a process."""
-
-    def command(state: str, scene: str, *words: object) -> tuple[int, str]:
-        file = empty_folder / state / "scene.py"
-        file.parent.mkdir()
-        file.write_text(scene)
-        first = ("learn", f"{file}:render", "--size", 16, "--passes", 1, "--out", "m.fide")
-        code = main([str(word) for word in (*first, "--renders", *words)])
-        return code, capsys.readouterr().err
-
-    assert command("first", SCENE, 100)[0] == 0
-    code, errors = command("commented", SCENE + "# a comment\n", 200, "--resume")
-    assert code == 0 and "change" not in errors
-    code, errors = command("darker", SCENE.replace("[None]", "[None] * 0.9"), 300, "--resume")
-    assert code == 2 and errors.count("\n") == 1
-    assert "the renderer's images are not those in m.fide.renders" in errors

@@ -330,21 +330,6 @@ def test_a_pass_of_an_emulator_as_on_the_processor() -> None:
 
 
 @pytest.mark.gpu
-@pytest.mark.parametrize(
-    ("kind", "augment"), [("autoregressive", "photograph"), ("emulator", "none")]
-)
-def test_a_training_goes_on_there_and_on_the_processor(kind: str, augment: str) -> None:
-    there, here = trainings(kind, augment)
-    there.run()
-    state = there.state_dict()
-    for training in (there, here):
-        training.load_state_dict(state)
-        training.passes = 2
-        training.run()
-        assert len(training.curve) == 2
-
-
-@pytest.mark.gpu
 @pytest.mark.parametrize("kind", ["autoregressive", "set", "emulator"])
 def test_a_training_gives_the_same_weights_every_time_there(kind: str) -> None:
     before = torch.backends.cudnn.deterministic

@@ -11,7 +11,6 @@ from hypothesis import given, settings, strategies as st
 
 from fide_plugins import losses
 from fide_plugins.errors import ImageError, LossError, UnknownNameError
-from fide_plugins.losses.base import LossOfTarget
 from fide_plugins.types import Float32
 
 RNG = np.random.default_rng(5)
@@ -115,27 +114,6 @@ def test_names_and_none() -> None:
     )
     with pytest.raises(UnknownNameError, match="loi, lpips, mse, perceptual"):
         losses.resolve("msee", TARGET)
-
-
-def test_the_device_of_a_named_loss(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It goes to the losses that take one."""
-    monkeypatch.setattr(losses._REGISTRY, "_factories", dict(losses._REGISTRY._factories))
-    made: list[dict[str, object]] = []
-
-    def probe(target: object, *, variant: str = "a", device: str = "auto") -> LossOfTarget:
-        made.append({"variant": variant, "device": device})
-        return losses.make("mse", target)
-
-    losses.register("probe", probe)
-    losses.resolve("probe", TARGET, device="cpu")
-    losses.resolve("probe:b", TARGET, device="cuda:1")
-    losses.resolve("probe", TARGET)
-    assert made == [
-        {"variant": "a", "device": "cpu"},
-        {"variant": "b", "device": "cuda:1"},
-        {"variant": "a", "device": "auto"},
-    ]
-    assert losses.resolve(None, TARGET, device="cpu").name == "mse"
 
 
 def test_a_made_loss_must_be_of_this_target() -> None:

@@ -16,21 +16,14 @@ from fide_plugins.encoders.pretrained import backbones, weights
 from fide_plugins.errors import (
     DeviceError,
     ImageError,
-    OptionError,
     WeightsMismatchError,
     WeightsNotFoundError,
 )
 from fide_plugins.fide import FIDE
-from fide_plugins.losses.lpips import VARIANTS
+from fide_plugins.losses.lpips import LAYERS
 from fide_plugins.types import Float32
 
 RNG = np.random.default_rng(12)
-FILES = {
-    "alex": "alexnet-owt-7be5be79",
-    "vgg": "vgg16-397923af",
-}
-SMALLEST = {"alex": 31, "vgg": 16}
-every_variant = pytest.mark.parametrize("variant", FILES)
 
 
 def pair(height: int, width: int) -> tuple[Float32, Float32]:
@@ -41,53 +34,41 @@ def pair(height: int, width: int) -> tuple[Float32, Float32]:
 # -- the definition, in double precision -----------------------------------------------------------
 
 
-def activations(variant: str, state: dict[str, Tensor], x: Tensor) -> list[Tensor]:
-    """The layers that are compared.
-
-    Of AlexNet all five ReLUs, of VGG-16 the last one of each block.
-    """
+def activations(state: dict[str, Tensor], x: Tensor) -> list[Tensor]:
+    """All five ReLUs of AlexNet."""
 
     def conv(x: Tensor, name: str, stride: int = 1, padding: int = 1) -> Tensor:
         weight, bias = (state[f"features.{name}.{k}"].double() for k in ("weight", "bias"))
         return F.relu(F.conv2d(x, weight, bias, stride, padding))
 
-    if variant == "alex":
-        one = conv(x, "0", 4, 2)
-        two = conv(F.max_pool2d(one, 3, 2), "3", 1, 2)
-        three = conv(F.max_pool2d(two, 3, 2), "6")
-        four = conv(three, "8")
-        return [one, two, three, four, conv(four, "10")]
-    layers: list[Tensor] = []
-    for block in ((0, 2), (5, 7), (10, 12, 14), (17, 19, 21), (24, 26, 28)):
-        x = F.max_pool2d(x, 2) if layers else x
-        for number in block:
-            x = conv(x, str(number))
-        layers.append(x)
-    return layers
+    one = conv(x, "0", 4, 2)
+    two = conv(F.max_pool2d(one, 3, 2), "3", 1, 2)
+    three = conv(F.max_pool2d(two, 3, 2), "6")
+    four = conv(three, "8")
+    return [one, two, three, four, conv(four, "10")]
 
 
 def by_definition(
-    variant: str, state: dict[str, Tensor], heads: dict[str, Tensor], a: Float32, b: Float32
+    state: dict[str, Tensor], heads: dict[str, Tensor], a: Float32, b: Float32
 ) -> float:
     shift = torch.tensor([-0.030, -0.088, -0.188]).double()[:, None, None]
     scale = torch.tensor([0.458, 0.448, 0.450]).double()[:, None, None]
     x = torch.from_numpy(np.stack([a, b])).double().permute(0, 3, 1, 2)
     total = 0.0
-    for i, y in enumerate(activations(variant, state, (x * 2 - 1 - shift) / scale)):
+    for i, y in enumerate(activations(state, (x * 2 - 1 - shift) / scale)):
         unit = y / torch.linalg.vector_norm(y, dim=1, keepdim=True).clamp_min(1e-300)
         w = heads[f"lin{i}.model.1.weight"].double().flatten()
         total += float(torch.einsum("chw,c->hw", (unit[0] - unit[1]) ** 2, w).mean())
     return total
 
 
-@every_variant
 @pytest.mark.parametrize("size", [(40, 53), (64, 64)])
-def test_the_definition(variant: str, size: tuple[int, int], cached_weights: Path) -> None:
-    state = weights.read(cached_weights / f"{FILES[variant]}.pth")
-    heads = cached_weights / f"lpips-v0.1-{variant}.pth"
+def test_the_definition(size: tuple[int, int], cached_weights: Path) -> None:
+    state = weights.read(cached_weights / "alexnet-owt-7be5be79.pth")
+    heads = cached_weights / "lpips-v0.1-alex.pth"
     a, b = pair(*size)
-    value = losses.make(f"lpips:{variant}", a, heads=heads, device="cpu")(b[None])[0]
-    expected = by_definition(variant, state, weights.read(heads), a, b)
+    value = losses.make("lpips", a, heads=heads, device="cpu")(b[None])[0]
+    expected = by_definition(state, weights.read(heads), a, b)
     assert expected > 0.1
     np.testing.assert_allclose(value, expected, atol=1e-5)
 
@@ -95,30 +76,18 @@ def test_the_definition(variant: str, size: tuple[int, int], cached_weights: Pat
 # -- what it takes ---------------------------------------------------------------------------------
 
 
-def test_variants_and_their_names(cached_weights: Path) -> None:
-    target = RNG.random((32, 32, 3))
-    assert losses.make("lpips", target).name == losses.make("lpips:alex", target).name == "lpips"
-    assert losses.make("lpips:vgg", target).name == "lpips:vgg"
-    with pytest.raises(OptionError, match="variants alex, vgg, not 'vgg19'"):
-        losses.make("lpips:vgg19", target)
-    with pytest.raises(OptionError, match="the loss 'mse' has no variants, got mse:alex"):
-        losses.make("mse:alex", target)
+def test_a_device_that_is_not_there(cached_weights: Path) -> None:
     with pytest.raises(DeviceError):
-        losses.make("lpips", target, device="abacus")
+        losses.make("lpips", RNG.random((32, 32, 3)), device="abacus")
 
 
-@every_variant
-def test_the_smallest_image(variant: str, cached_weights: Path) -> None:
-    smallest = SMALLEST[variant]
-    a, b = pair(smallest, smallest + 9)
-    assert losses.make(f"lpips:{variant}", a)(b[None])[0] > 0
-    message = rf"at least {smallest} x {smallest} pixels, got {smallest - 1} x 80 .*'perceptual'"
-    with pytest.raises(ImageError, match=message):
-        losses.make(f"lpips:{variant}", np.zeros((smallest - 1, 80, 3)))
+def test_the_smallest_image(cached_weights: Path) -> None:
+    a, b = pair(31, 40)
+    assert losses.make("lpips", a)(b[None])[0] > 0
+    with pytest.raises(ImageError, match="at least 31 x 31 pixels, got 30 x 80 .*'perceptual'"):
+        losses.make("lpips", np.zeros((30, 80, 3)))
     with pytest.raises(RuntimeError, match="too small|size"):  # so the limit is the network's own
-        chosen = VARIANTS[variant]
-        network = backbones.load(chosen.architecture)
-        network.taps(torch.zeros(1, 3, smallest - 1, 80), chosen.layers)
+        backbones.load(backbones.ALEXNET).taps(torch.zeros(1, 3, 30, 80), LAYERS)
 
 
 def test_without_weights(no_weights: Path) -> None:

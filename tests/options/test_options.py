@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import asdict, fields
 from typing import Any
 
 import pytest
@@ -10,11 +10,8 @@ import pytest
 from fide_plugins.errors import OptionError, UnknownNameError
 from fide_plugins.options import (
     PRESETS,
-    NetworkOptions,
     Options,
-    ProposalOptions,
     check_known,
-    flat,
     make_options,
     without_images,
 )
@@ -26,40 +23,37 @@ def test_the_paper_s_values() -> None:
     assert paper.encoder == "patch"
     assert paper.popsize == 500
     assert paper.proposer == "diffusion"
-    assert (paper.proposal.proposal_fraction, paper.proposal.fraction_rate) == (0.5, 0.0)
-    network = paper.network
-    assert (network.epochs, network.learning_rate) == (20, 1e-3)
-    assert network.schedule == (0.3, 0.2, 0.1)
+    assert (paper.proposal_fraction, paper.fraction_rate) == (0.5, 0.0)
+    assert (paper.epochs, paper.learning_rate) == (20, 1e-3)
+    assert paper.schedule == (0.3, 0.2, 0.1)
     assert not paper.guard_search
     assert paper.restarts == "none"
 
 
 @pytest.mark.parametrize("preset", sorted(PRESETS))
 def test_every_preset_passes_its_own_checks(preset: str) -> None:
-    given = flat(PRESETS[preset])
+    given = asdict(PRESETS[preset])
     assert make_options("fast", {**given, "popsize": None}) is not None
     assert make_options(preset, given) == PRESETS[preset]
 
 
 def test_none_leaves_what_the_preset_has_where_it_is_no_value() -> None:
-    nothing: dict[str, Any] = dict.fromkeys(flat(PRESETS["paper"]))
+    nothing: dict[str, Any] = dict.fromkeys(asdict(PRESETS["paper"]))
     del nothing["coarse_to_fine"]  # of which None is a value
     assert make_options("paper", nothing) == PRESETS["paper"]
 
 
 def test_changes_replace_the_preset_s() -> None:
     options = make_options("paper", {"popsize": 20, "epochs": 3, "schedule": [0.5, 0.25]})
-    assert (options.popsize, options.network.epochs) == (20, 3)
-    assert options.network.schedule == (0.5, 0.25)
+    assert (options.popsize, options.epochs) == (20, 3)
+    assert options.schedule == (0.5, 0.25)
     assert options.encoder == "patch"
     assert PRESETS["paper"].popsize == 500
 
 
 def test_every_option_is_documented() -> None:
-    for group in (Options, ProposalOptions, NetworkOptions):
-        for field in fields(group):
-            if field.name not in ("proposal", "network"):
-                assert field.name in (group.__doc__ or ""), field.name
+    for field in fields(Options):
+        assert field.name in (Options.__doc__ or ""), field.name
 
 
 def test_a_search_that_sees_no_image_has_no_options_of_a_network() -> None:
@@ -75,9 +69,7 @@ def test_an_unknown_option_is_told_with_those_that_are_known() -> None:
             make_options("balanced", {name: 1})
     with pytest.raises(OptionError, match="no option 'sahre'") as caught:
         make_options("balanced", {"sahre": 0.3})
-    for group in (Options, ProposalOptions, NetworkOptions):
-        names = {field.name for field in fields(group)} - {"proposal", "network"}
-        assert all(name in str(caught.value) for name in names)
+    assert all(field.name in str(caught.value) for field in fields(Options))
     with pytest.raises(OptionError) as caught:
         check_known({"sahre": 0.3}, "fit", ["target", "mask", "seed", "learned", "sigma0"])
     named = str(caught.value).rpartition("known are ")[2].split(", ")
@@ -139,8 +131,8 @@ def test_what_is_of_the_network_goes_with_a_network(name: str, value: Any) -> No
         with pytest.raises(OptionError, match=f"{name}=.*of the network.*'{proposer}' has none"):
             make_options(preset, {name: value})
         options = make_options(preset, {name: value, "proposer": "diffusion"})
-        assert getattr(options.network, name) == value
-    assert getattr(make_options("paper", {name: value}).network, name) == value
+        assert getattr(options, name) == value
+    assert getattr(make_options("paper", {name: value}), name) == value
 
 
 def test_a_schedule_has_an_end() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fide_plugins.population import Population, mirrored_pair, population as record
+from fide_plugins.population import Population, mirrored_pair
 from fide_plugins.types import Float64
 
 from .conftest import drawn, hand_out, index_of
@@ -122,23 +122,6 @@ def test_state_goes_on(told: int) -> None:
         ]
         outcomes.append((rest, indices, listed, losses.tolist()))
     assert outcomes[0] == outcomes[1]
-
-
-def test_what_never_comes_back_is_given_up_the_oldest_first(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(record, "_MOST_PENDING", 10)
-    population = Population()
-    x = np.linspace(0, 1, 25)[:, None]
-    for rows in np.split(x, 5):
-        population.draw(rows, rows)
-        for _ in rows:
-            population.hand_out()
-    saved = population.state_dict()["pending"]
-    assert population.pending == len(saved["index"]) == 10
-    assert index_of(population, x[14], 0.0) is None
-    assert index_of(population, x[15], 0.0) == 15
-    assert population.pending == Population.from_state(population.state_dict(), 1).pending == 9
 
 
 def awaited(population: Population, size: int) -> int:

@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy.stats import spearmanr
 
-from fide_plugins.options import Options, ProposalOptions
+from fide_plugins.options import Options
 from fide_plugins.proposers.image_gate import ImageGate, _correlation, _ranks, adapt_fraction
 from fide_plugins.types import Float64
 
@@ -141,7 +141,7 @@ def test_nothing_is_proposed_before_it_is_shown() -> None:
 def test_half_the_agreement_half_the_proposals(monkeypatch: pytest.MonkeyPatch) -> None:
     """And then images do not say when a search is over."""
     monkeypatch.setattr(ImageGate, "strength", 0.5)
-    options = Options(proposal=ProposalOptions(proposal_fraction=0.4))
+    options = Options(proposal_fraction=0.4)
     gate, rng = ImageGate(options, (None,)), np.random.default_rng(0)
     assert np.mean([gate.number(30, rng) for _ in range(2000)]) == pytest.approx(6, abs=0.05)
     assert not gate.guided

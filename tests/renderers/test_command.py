@@ -265,25 +265,6 @@ def test_the_time_of_a_render_is_that_of_all_views_together(
     assert given[6:] == [None, None]
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("timeout", [60, None])
-def test_output_without_end_does_not_fill_the_disk(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, timeout: float | None
-) -> None:
-    monkeypatch.setattr(child, "_LONGEST", 10**5, raising=False)
-    monkeypatch.setattr(child, "_LOOK", 0.01, raising=False)
-    prints = (
-        "import time\n"
-        "for number in range(20):\n"
-        "    print(9999 * 'much of it, ', number, flush=True)\n"
-        "    time.sleep(0.1)\n"
-    )
-    log = tmp_path / "log"
-    ended = child.run([sys.executable, "-I", "-S", "-c", prints], log, timeout)
-    assert ended.code == 0 and ended.tail.endswith("much of it,  19")
-    assert log.stat().st_size < 10**6  # of 2.4 million bytes
-
-
 def test_a_worker_that_leads_a_group_stops_what_hangs_and_goes_on(
     ends: Callable[[int], bool],
 ) -> None:
@@ -325,3 +306,27 @@ def test_ctrl_c_stops_the_program_and_leaves_nothing(
     assert child.wait(60) != 0
     assert ends(int(Path("pid").read_text()))
     assert os.listdir(tmp_path / "tmp") == []
+
+
+def test_size_samples_and_seed_are_placeholders_unless_the_space_has_them(tmp_path: Path) -> None:
+    program = tmp_path / "draw.py"
+    program.write_text(
+        "import sys\n"
+        "out, gray, width, height, *more = sys.argv[1:]\n"
+        "w, h = int(width), int(height)\n"
+        "head, pixel = b'P6 %d %d 255\\n' % (w, h), bytes([int(float(gray))])\n"
+        "open(out, 'wb').write(head + pixel * (3 * w * h))\n"
+        "open(__file__ + '.log', 'a').write(' '.join([width, height, *more]) + '\\n')\n"
+    )
+    text = f"{sys.executable} -I -S {program} {{out}} {{gray}} {{width}} {{height}}"
+    text += " {samples} {seed}"
+    space = Space(gray=Float(0, 255), seed=Float(1, 2))
+    render = CommandRenderer(text, space)
+    assert sorted(render.keywords) == ["samples", "size"]
+    image = render({"gray": 51.0, "seed": 1.5}, size=(4, 6), samples=3)
+    assert np.shape(image) == (4, 6, 3) and np.allclose(image, 0.2)
+    target = np.full((64, 64, 3), 0.2)
+    fit(render, target, space, 6, workers=0, seed=0, until="budget")
+    lines = (tmp_path / "draw.py.log").read_text().splitlines()
+    assert lines[0] == "6 4 3 1.5"
+    assert lines[1].startswith("32 32 1 1.") and lines[-1].startswith("64 64 64 ")

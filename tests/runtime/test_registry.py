@@ -35,12 +35,12 @@ def test_an_option_that_a_factory_does_not_have_is_named() -> None:
     registry.register("whole", int)  # a class of C, of which Python knows no parameters
     assert registry.make("sum", 1, more=2) == 3 and registry.make("any", more=2) == 1
     assert registry.make("whole", "7") == 7
-    with pytest.raises(OptionError, match="number 'sum' has no option 'lees'; it has: more, less"):
+    with pytest.raises(OptionError, match="number 'sum': .*'lees'; its options: more, less"):
         registry.make("sum", 1, lees=1)
     registry.register("former", lambda a, device="cpu", size=3: size)
-    with pytest.raises(OptionError, match="no option 'sise'; it has: device, size"):
+    with pytest.raises(OptionError, match="'sise'; its options: device, size"):
         registry.make("former", 1, sise=3)
-    with pytest.raises(OptionError, match="encoder 'dense' has no option 'foo'; it has: device"):
+    with pytest.raises(OptionError, match="encoder 'dense': .*'foo'; its options: device"):
         encoders.make("dense", foo=3)
 
 
@@ -59,11 +59,11 @@ def test_a_name_with_a_variant() -> None:
     assert registry.make("dyed") == "white False"
     assert registry.make("dyed:red:ish", fold=True) == "red:ish True"
     assert registry.knows("dyed:red") and registry.knows("plain") and not registry.knows("red")
-    with pytest.raises(OptionError, match="the cloth 'plain' has no variants, got plain:red"):
+    with pytest.raises(OptionError, match="cloth 'plain:red': .*'variant'"):
         registry.make("plain:red")
     with pytest.raises(UnknownNameError, match="unknown cloth 'dye': .* did you mean 'dyed'"):
         registry.make("dye:red")
-    with pytest.raises(OptionError, match="without a colon, got 'dyed:red'"):
+    with pytest.raises(OptionError, match="without a colon, .* got 'dyed:red'"):
         registry.register("dyed:red", lambda: "red")
 
 

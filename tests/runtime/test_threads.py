@@ -76,14 +76,6 @@ def test_the_setting_of_the_user_comes_back(n: int) -> None:
 
 
 @pytest.mark.usefixtures("two")
-def test_pytorch_in_other_threads_keeps_its_setting() -> None:
-    """Also in a thread that computes for the first time while another one is inside."""
-    with one_thread, ThreadPoolExecutor(1) as new:
-        assert new.submit(torch.get_num_threads).result() == 2
-        assert torch.get_num_threads() == 1
-
-
-@pytest.mark.usefixtures("two")
 def test_the_last_thread_that_leaves_restores_blas() -> None:
     """They overlap in both orders; in the second, the one that limited it leaves first."""
     for leaves_last in ("this", "other"):
@@ -139,29 +131,6 @@ def test_a_loss_of_the_users_computes_in_as_many_as_set(name: str) -> None:
         opt.tell(X, render(X))
         assert threads() == (2, {2})
     assert seen == [(2, {2})] * 2
-
-
-@pytest.mark.usefixtures("two")
-def test_the_network_computes_in_as_many_as_set(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    from fide_plugins.denoiser.training import fit
-
-    seen = []
-
-    def counted(*arguments: Any, **options: Any) -> Any:
-        seen.append(torch.get_num_threads())
-        return fit(*arguments, **options)
-
-    monkeypatch.setattr("fide_plugins.proposers.diffusion.fit", counted)
-    options: dict[str, Any] = {"popsize": 4, "epochs": 1}
-    opt = FIDE(DIM, TARGET, preset="paper", seed=0, **options)
-    for _ in range(2):
-        X = opt.ask()
-        opt.tell(X, render(X))
-    opt.ask()
-    assert seen == [2, 2]
-    assert threads() == (2, {2})
 
 
 def candidates(name: str, threads: int, options: dict[str, Any]) -> Float64:
@@ -235,17 +204,6 @@ def in_parallel() -> None:
     """Begin PyTorch's threads, which a fork does not bring along."""
     large = torch.ones(1000, 1000)
     assert torch.allclose(large.exp().log(), large)
-
-
-@pytest.mark.usefixtures("two")
-def test_a_child_of_the_users_keeps_its_setting(forked: Forked) -> None:
-    with one_thread:
-        pass
-    assert forked(threads) == repr((2, {2}))
-    with one_thread:
-        assert forked(threads) == repr((1, {1}))
-        with user_threads:
-            assert forked(threads) == repr((2, {2}))
 
 
 @pytest.mark.usefixtures("two")

@@ -33,14 +33,6 @@ def task() -> Task:
     return make()
 
 
-def test_advice_is_for_settings_that_mislead() -> None:
-    few, enough = make(spp=4), make(spp=64)
-    for loss in ("mse", "loi", "perceptual"):
-        assert "--spp 16" in str(few.advice(loss))
-    assert "--loss perceptual and --spp 64" in str(enough.advice("mse"))
-    assert enough.advice("perceptual") is None and few.advice("mine") is None
-
-
 def random_x(n: int, seed: int = 0) -> Array:
     return np.random.default_rng(seed).random((n, 18))
 
@@ -62,24 +54,6 @@ def test_beads_reach_the_walls_and_go_no_further(task: Task) -> None:
     np.testing.assert_allclose(highs[:, [0, 2]], 1 - RADIUS)
     assert np.all((highs[:, 1] + RADIUS < 0.99) & (highs[:, 1] + RADIUS > 0.95)), "below the lamp"
     assert list(task.decode(np.zeros(18))["bead 6"]) == [f"{a} [half sides]" for a in "xyz"]
-
-
-@pytest.mark.thorough
-def test_axes_are_right_up_and_towards_the_camera() -> None:
-    task = make(32, reference_spp=512)
-    away = np.tile([0.5, 0.5, 0.0], 6)  # all six in one place at the back wall
-    empty = task.reference(away)
-
-    def changed(x: float, y: float, z: float) -> tuple[float, float, int]:
-        """Median column and row, and number, of the pixels that change when a bead is moved."""
-        moved = away.copy()
-        moved[:3] = x, y, z
-        rows, columns = np.nonzero(np.abs(task.reference(moved) - empty).max(axis=2) > 0.15)
-        return float(np.median(columns)), float(np.median(rows)), len(rows)
-
-    assert changed(0.95, 0.5, 0.5)[0] > 20 > 12 > changed(0.05, 0.5, 0.5)[0]
-    assert changed(0.5, 0.95, 0.5)[1] < changed(0.5, 0.05, 0.5)[1] - 5
-    assert changed(0.2, 0.3, 1.0)[2] > changed(0.2, 0.3, 0.1)[2], "near beads are larger"
 
 
 def test_beads_of_targets_keep_apart_and_in_sight() -> None:
@@ -148,8 +122,6 @@ def test_the_scene_is_loaded_once(monkeypatch: pytest.MonkeyPatch) -> None:
         task.render(random_x(4))
     task.reference(random_x(1)[0])
     assert len(loaded) == 1
-    assert task.times["frames"] == 13
-    assert all(task.times[part] > 0 for part in ("load", "update", "render", "copy"))
 
 
 @needs_llvm
@@ -188,7 +160,7 @@ def test_mitsuba_is_imported_only_when_a_frame_is_rendered() -> None:
         ({"spp": 0}, "spp must be a whole number >= 1, not 0"),
         ({"spp": 1.5}, "spp must be a whole number >= 1, not 1.5"),
         ({"spp": "64"}, "spp must be a whole number >= 1, not '64'"),
-        ({"max_depth": 0}, "max_depth must be a whole number >= 1, or -1.*, not 0"),
+        ({"max_depth": 0}, "max_depth must be a whole number >= 1, not 0; -1 is any length"),
         ({"max_depth": -2}, "max_depth must be"),
         ({"max_depth": "8"}, "max_depth must be"),
         ({"reference_spp": 0}, "reference_spp must be"),

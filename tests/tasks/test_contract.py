@@ -24,7 +24,6 @@ CASES: dict[str, tuple[str, dict[str, Any]]] = {
     "spline, 2 points": ("spline", {"target": "random", "control_points": 2}),
     "robot": ("robot", {}),
     "lamps": ("lamps", {}),
-    "lamps, strided": ("lamps", {"lamps": 3, "layout": "strided"}),
     "lamps, 1 lamp": ("lamps", {"lamps": 1}),
     "sprites": ("sprites", {}),
     "sprites, 1 sprite": ("sprites", {"sprites": 1}),
@@ -146,15 +145,12 @@ def test_a_batch_equals_its_frames(task: Task) -> None:
     np.testing.assert_array_equal(task.render(X, seed=range(7)), singles)
 
 
-def test_without_noise_the_reference_is_the_render_and_the_noise_level_zero(make: Make) -> None:
+def test_without_noise_the_reference_is_the_render(make: Make) -> None:
     task = make()
     x = np.random.default_rng(9).random(task.dim)
     np.testing.assert_array_equal(task.reference(x), task.render(x[None])[0])
-    np.testing.assert_array_equal(task.noise_level(x), np.zeros((48, 48, 3), np.float32))
     with pytest.raises(ValueError, match="x must be finite"):
         task.reference(np.full(task.dim, np.nan))
-    with pytest.raises(ValueError, match="frames must be a whole number >= 2, not 1"):
-        task.noise_level(x, frames=1)
 
 
 def test_an_empty_batch(task: Task) -> None:
@@ -300,13 +296,6 @@ def test_without_a_seed_every_frame_has_its_own_noise() -> None:
             assert (frames[i] != frames[j]).mean() > 0.9
     again = Noise(16)
     np.testing.assert_array_equal(again.render(np.repeat(X2[:1], 5, axis=0)), frames)
-
-
-def test_the_noise_level_is_the_standard_deviation_of_a_frame() -> None:
-    level = Noise(48).noise_level([0.5], frames=50)
-    assert level.dtype == np.float32
-    assert level.mean() == pytest.approx(0.1, rel=0.02)
-    assert level.std() == pytest.approx(0.1 / np.sqrt(2 * 49), rel=0.1)
 
 
 def test_the_reference_has_little_noise_and_is_always_the_same() -> None:

@@ -79,13 +79,3 @@ def test_a_moved_scene_is_refused(task: Task, measured: Measured) -> None:
     x = measured["x"].copy()
     x[7] += 0.25 if x[7] < 0.5 else -0.25  # a bead, or the light
     assert refused(mean_of_frames(task, x, seed=2), measured).sum() > 5
-
-
-def test_the_noise_level_is_as_measured(task: Task, measured: Measured) -> None:
-    level = task.noise_level(measured["x"], frames=64)
-    assert level.shape == task.shape
-    assert level.dtype == np.float32
-    variance = np.square(level, dtype=np.float64)
-    assert variance.mean() == pytest.approx(measured["variance"].mean(), rel=0.1)
-    noisy = measured["variance"] > 1e-3  # where 64 frames see the noise, its place is the same
-    assert np.corrcoef(variance[noisy], measured["variance"][noisy])[0, 1] > 0.8

@@ -92,17 +92,6 @@ def test_an_image_too_large_for_opengl_is_an_error_and_others_still_work(task: R
     np.testing.assert_array_equal(task.render(random_x(1)), before)
 
 
-def test_samples_that_opengl_has_not_are_an_error_that_names_those_it_has() -> None:
-    rule = r"draws with (\d+) samples a pixel here, not 1000: choose samples=0"
-    with pytest.raises(OffscreenError, match=rule) as error:
-        Robot(16, samples=1000).render(random_x(1))
-    there = int(str(error.value).split(" samples")[0].split()[-1])
-    one = Robot(16, samples=there)
-    one.render(random_x(1))
-    assert one._stage is not None
-    assert one._stage._context.renderer.offSamples == there
-
-
 @pytest.mark.parametrize("size", [64, (8, 100_000)], ids=["drawn", "failed"])
 def test_a_task_that_is_collected_leaves_the_frame_of_another_one_alone(
     task: Robot, monkeypatch: pytest.MonkeyPatch, size: Any

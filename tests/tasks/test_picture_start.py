@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 import fide_tasks
-from fide_tasks.picture_start import cells_of, stroke_of
+from fide_tasks.picture_start import stroke_of
 
 
 def error(task: fide_tasks.Task, x: object) -> float:
@@ -32,13 +31,6 @@ def test_cells_are_nearer_than_an_even_grid_of_mean_colors() -> None:
         at_start.append(error(task, x))
         even.append(target.reshape(4, 12, 4, 12, 3).var(axis=(1, 3)).mean())
     assert np.mean(at_start) < 0.8 * np.mean(even)
-
-
-@pytest.mark.parametrize("shape", [(1, 1, 3), (2, 1, 3), (3, 400, 3)])
-def test_pictures_of_few_pixels_and_of_one_color_have_cells_too(shape: tuple[int, ...]) -> None:
-    cells = cells_of(np.full(shape, 0.25, np.float32), 60)
-    assert cells.shape == (60, 5) and cells.min() >= 0.0 and cells.max() <= 1.0
-    np.testing.assert_allclose(cells[:, 2:], 0.25)
 
 
 def test_a_straight_stroke_is_followed_from_end_to_end() -> None:

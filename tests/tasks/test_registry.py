@@ -22,18 +22,6 @@ def test_names_are_sorted_and_can_all_be_made() -> None:
         assert task.name == name
 
 
-def test_groups_of_names() -> None:
-    assert fide_tasks.names("exchangeable") == ["lamps", "sprites"]
-    assert fide_tasks.names("folding") == ["arm", "lens", "stick_figure"]
-    assert fide_tasks.names("smooth") == ["ball"]
-    assert fide_tasks.names("many") == ["triangles"]
-    groups = ("paper", "exchangeable", "folding", "smooth", "many")
-    every = sorted(name for group in groups for name in fide_tasks.names(group))
-    assert fide_tasks.names("all") == every
-    with pytest.raises(ValueError, match="group must be one of all, paper, .*, not 'papers'"):
-        fide_tasks.names("papers")
-
-
 def test_options_with_their_defaults() -> None:
     assert fide_tasks.options("voronoi") == {"cells": None, "variant": "color", "target": None}
     assert fide_tasks.options("spline") == {"control_points": 7, "target": "ampersand"}
@@ -63,7 +51,6 @@ def test_unknown_option_lists_the_known() -> None:
         ("voronoi", {"seed": None}, "seed must be a whole number >= 0"),
         ("spline", {"control_points": 1}, "control_points must be a whole number >= 2"),
         ("lamps", {"lamps": 0}, "lamps must be a whole number >= 1, not 0"),
-        ("lamps", {"layout": "rows"}, "layout must be one of 'block', 'strided', not 'rows'"),
         ("sprites", {"sprites": 2.5}, "sprites must be a whole number >= 1, not 2.5"),
         ("triangles", {"triangles": 1}, "triangles must be a whole number >= 2, not 1"),
         ("triangles", {"opacity": 0}, r"opacity must lie in \(0, 1\], not 0"),
@@ -89,8 +76,3 @@ def test_no_task_needs_the_optimizer_or_torch() -> None:
     script = f"import sys; sys.path[:0] = {path}\n{code}"
     result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert result.stdout.strip() == "[]", result.stderr
-
-
-def test_unknown_attribute() -> None:
-    with pytest.raises(AttributeError, match="no attribute 'Tasks'"):
-        fide_tasks.Tasks  # noqa: B018

@@ -49,12 +49,6 @@ def test_a_triangle_covers_what_its_corners_say() -> None:
         assert abs(image.sum() - abs(double) / 2) < 0.03 * abs(double) / 2 + 4
 
 
-def test_a_triangle_without_opacity_changes_nothing() -> None:
-    below = white(np.array([[0.2, 0.1], [0.9, 0.4], [0.3, 0.8]]))
-    moved = [0.3, 0.5, 0.8, 0.2, 0.6, 0.7, 0.2, 0.9, 0.4, 0.0]
-    np.testing.assert_array_equal(one(plain(), below, HIDDEN), one(plain(), below, moved))
-
-
 def test_what_is_painted_last_is_in_front() -> None:
     place = [0.1, 0.1, 0.9, 0.1, 0.5, 0.9]
     red, blue = [*place, 1.0, 0.0, 0.0, 0.5], [*place, 0.0, 0.0, 1.0, 0.5]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fide_tasks.viewpoints import axes, choose, merit
+from fide_tasks.viewpoints import axes, merit
 
 Array = NDArray[np.float64]
 LOW = np.array([7.0, 1, -2, 45, 0, 7, 1, -2])
@@ -74,18 +74,3 @@ def test_shadows_are_seen() -> None:
     above = v + np.array([0.0, 0, 0, 0, 0, 0, 2, 0])
     assert merit(v, roofed, 60).lit == 1
     assert merit(above, roofed, 60).lit == 0
-
-
-def test_the_choice_is_good_if_there_is_a_good_view() -> None:
-    def pillars(origins: Array, directions: Array) -> tuple[Array, Array]:
-        t, normal = room(origins, directions)
-        angle = np.arctan2(directions[:, 2], directions[:, 0])
-        stripe = (np.floor(angle * 12) % 2 == 0) & (np.abs(directions[:, 1]) < 0.6)
-        return np.where(stripe, np.maximum(t - 1, 0.1), t), normal
-
-    for seed in range(10):
-        v = choose(np.random.default_rng(seed), LOW, HIGH, pillars, 65)
-        assert ((v >= LOW) & (v <= HIGH)).all()
-        assert merit(v, pillars, 65).shortfall == 0
-    again = choose(np.random.default_rng(9), LOW, HIGH, pillars, 65)
-    np.testing.assert_array_equal(again, v)

@@ -55,18 +55,6 @@ def test_ties_go_to_the_first_in_order(cells: list[tuple[int, ...]], size: tuple
     np.testing.assert_array_equal(task.render(x[None])[0], by_force(x, *size))
 
 
-def test_layout_is_cell_by_cell_x_right_y_down() -> None:
-    task = fide_tasks.make("voronoi", (10, 20), cells=2)
-    upper_left, lower_right = [0.1, 0.2, 1, 0, 0], [0.9, 0.8, 0, 0.5, 1]
-    image = task.render(np.array([upper_left + lower_right]))[0]
-    np.testing.assert_allclose(image[0, 0], [1, 0, 0])
-    np.testing.assert_allclose(image[-1, -1], [0, 0.5, 1])
-    assert task.decode(upper_left + lower_right) == {
-        "cell 1": {"x [px]": 2, "y [px]": 2, "red [0-1]": 1, "green [0-1]": 0, "blue [0-1]": 0},
-        "cell 2": {"x [px]": 18, "y [px]": 8, "red [0-1]": 0, "green [0-1]": 0.5, "blue [0-1]": 1},
-    }
-
-
 @pytest.mark.parametrize("cells", [2, 5])
 @pytest.mark.parametrize("size", [(64, 64), (40, 90)])
 def test_distance_equals_a_nearest_neighbor_search(cells: int, size: tuple[int, int]) -> None:

@@ -11,7 +11,7 @@ import torch
 from PIL import Image, ImageOps
 
 from fide_plugins.errors import FideError, ImageError, ImageNotFoundError, OptionError
-from fide_plugins.validation.images import MAX_PIXELS, alpha_of, as_batch, as_target, load, save
+from fide_plugins.validation.images import MAX_PIXELS, as_batch, as_target, load, save
 
 RGB = np.random.default_rng(0).random((5, 7, 3), dtype=np.float32)
 BYTES = np.arange(5 * 7 * 3, dtype=np.uint8).reshape(5, 7, 3)
@@ -62,7 +62,7 @@ def test_a_mask_is_never_lost() -> None:
     np.testing.assert_array_equal(as_target(masked), RGB)
     masked[1, 2] = np.ma.masked
     for convert, image in ((as_target, masked), (as_batch, masked[None]), (as_batch, [masked])):
-        with pytest.raises(ImageError, match=r"3 masked values.*\.filled\(value\).*mask="):
+        with pytest.raises(ImageError, match=r"masked array.*\.filled\(value\).*mask="):
             convert(image)
 
 
@@ -154,17 +154,6 @@ def test_whole_numbers_of_32_bits_are_refused_as_in_an_array(tmp_path: Path) -> 
             as_target(given_image)
 
 
-def test_a_transparent_gray_of_16_bits(tmp_path: Path) -> None:
-    Image.fromarray(DEEP).save(tmp_path / "a.png", transparency=0)
-    expected = np.array([[1.0, 1.0, 32768 / 65535]])
-    np.testing.assert_allclose(as_target(tmp_path / "a.png")[..., 0], expected, atol=1e-6)
-    np.testing.assert_array_equal(alpha_of(tmp_path / "a.png"), [[0, 1, 1]])
-    wide = np.repeat(np.repeat(DEEP[:, [0, 2]], 2, axis=0), 3, axis=1)  # half clear, (2, 6)
-    Image.fromarray(wide).save(tmp_path / "b.png", transparency=0)
-    small = load(tmp_path / "b.png", max_side=2)
-    np.testing.assert_allclose(small[0, :, 0], [1.0, 32768 / 65535], atol=1e-6)
-
-
 @pytest.mark.parametrize("ending", ["gif", "tif", "png", "webp"])
 def test_of_several_frames_the_first_is_taken_with_a_warning(ending: str, tmp_path: Path) -> None:
     frames = [Image.new("RGB", (6, 6), color) for color in ("red", "lime", "blue")]
@@ -249,10 +238,9 @@ def test_colors_of_16_bits_are_upright(orientation: int, tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("name", "image", "words"),
     [
-        ("a.hdr", np.ones((4, 4, 4)), "no alpha"),
-        ("a.hdr", -np.ones((4, 4, 3)), "no negative"),
+        ("a.hdr", np.ones((4, 4, 3)), "save it as .tif"),
         ("a.jpg", np.ones((4, 4, 4)), "jpg cannot hold"),
-        ("a.png", np.full((4, 4, 3), np.nan), "no NaN"),
+        ("a.png", np.full((4, 4, 3), np.nan), "save it as .tif"),
     ],
 )
 def test_what_a_format_cannot_hold_is_not_written(

@@ -140,7 +140,7 @@ def test_what_is_transparent_in_a_mask_is_hidden(form: str, mode: str, tmp_path:
         (-HALF, r"mask must have values in \[0, 1\]"),
         (HALF * 2, r"mask must have values in \[0, 1\]"),
         (HALF * np.nan, "mask must be finite"),
-        (HALF.T, r"mask must have .*20 x 24.*got 24 x 20.*float32; resize it to that$"),
+        (HALF.T, r"mask must have .*20 x 24.*got 24 x 20.*float32; give it that size$"),
         (TARGET, "mask must be gray"),
         (HALF.astype(int), "mask must be uint8"),
         ("missing.png", "no image file at 'missing.png'"),

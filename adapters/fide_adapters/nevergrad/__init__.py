@@ -12,10 +12,10 @@ try:
 except ImportError as error:
     raise missing("nevergrad", "fide_adapters.nevergrad needs Nevergrad") from error
 
-from fide_adapters.image_loss import ImageLoss, ImageRef
+from fide_adapters.image_loss import ImageLoss
 from fide_adapters.nevergrad.optimizer import NoImagesWarning, ParametrizedFIDE
 
-__all__ = ["FIDE", "ImageLoss", "ImageRef", "NoImagesWarning", "ParametrizedFIDE"]
+__all__ = ["FIDE", "ImageLoss", "NoImagesWarning", "ParametrizedFIDE"]
 
 
 def _registered() -> ParametrizedFIDE:

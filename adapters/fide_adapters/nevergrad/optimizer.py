@@ -139,17 +139,13 @@ class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
         return self._cube
 
     def _warn_of_no_images(self, why: str) -> None:
-        self._warn(
-            f"FIDE {why}, so it is CMA-ES; set optimizer.target and tell images, "
-            "tell(candidate, loss, image=...), or return ImageLoss(loss, image)",
-            NoImagesWarning,
-        )
-
-    def _warn(self, msg: str, e: Any) -> None:
-        """As in Nevergrad, once for each kind of warning, and at the line of the user."""
-        if e not in self._sent_warnings:
-            self._sent_warnings.add(e)
-            warn_user(msg, e)
+        if NoImagesWarning not in self._sent_warnings:
+            self._sent_warnings.add(NoImagesWarning)
+            warn_user(
+                f"FIDE {why}, so it is CMA-ES; set optimizer.target and tell images, "
+                "tell(candidate, loss, image=...), or return ImageLoss(loss, image)",
+                NoImagesWarning,
+            )
 
     # -- tell --------------------------------------------------------------------------------------
 
@@ -166,7 +162,7 @@ class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
 
         loss: the lower the better; an `ImageLoss`; an image, whose loss is then computed; a pair
             (loss, image) or (loss, None); or several losses, as in Nevergrad.
-        image: of the candidate: anything that `fide_plugins.FIDE` takes, or an `ImageRef`.
+        image: of the candidate: anything that `fide_plugins.FIDE` takes.
 
         Raises ImageError or LossError, both ValueErrors, before anything changes.
         """

@@ -26,8 +26,7 @@ The search begins at x(0), with the slope dx/dz there as standard deviation, but
 whose bounds are at infinity in standardized space (methods `arctan` and `tanh`) are unbounded.
 
 An initial value that a user has chosen is a guess, which FIDE asks first; the middle of two bounds,
-or zero without bounds, is Nevergrad's.  Standardized, each initial value is zero, so whether it was
-zero before is read from `_value` of the leaves: there is no public way.
+or zero without bounds, is Nevergrad's.  It is read from `_value` of the leaves: no public way is.
 """
 
 from __future__ import annotations
@@ -132,13 +131,7 @@ class Cube:
 
 
 class _Axes:
-    """Axes of standardized data.
-
-    lower, upper: (d,), bounds; infinite where there are none.
-    free: (d,), which have no bounds.
-    std: (d,), slope dx/dz at z = 0, but at most 1/3.
-    off_center: (d,), where x(0) is not 1/2.
-    """
+    """Axes of standardized data."""
 
     def __init__(self, lower: Float64, upper: Float64) -> None:
         self.lower, self.upper, self.dim = lower, upper, len(lower)
@@ -187,10 +180,7 @@ class _Axes:
 
 
 def _kinds(leaf: Any, choice: Any) -> list[Kind]:
-    """What the values of a leaf are; [] where it is read and written by its standardized data.
-
-    choice: that the leaf belongs to, or None.
-    """
+    """What the values of a leaf are; [] where it is read and written by its standardized data."""
     if isinstance(choice, p.Choice):
         n = len(choice)
         return [Choice(*range(n))] * (leaf.dimension // n) if 1 < n <= _MOST_CHOICES else []

@@ -1,8 +1,8 @@
 """The FIDE of a Nevergrad optimizer: made late, and dumped without images.
 
-Nevergrad makes many optimizers only to inspect them, lets users seed an optimizer after it was
-made, and dumps optimizers by pickling.  So FIDE is made, and PyTorch imported, with the first
-candidate; and a dump holds FIDE's state as arrays, without images, encoder and networks.
+Nevergrad makes many optimizers only to inspect them, lets users seed them afterwards, and pickles
+them.  So FIDE is made, and PyTorch imported, with the first candidate; and a dump holds FIDE's
+state as arrays, without images, encoder and networks.
 """
 
 from __future__ import annotations
@@ -24,8 +24,6 @@ from fide_plugins.views.views import views_of
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
-
-__all__ = ["Search", "TargetImage", "target_setting"]
 
 _NO_TARGET = np.zeros((1, 1, 3), np.float32)  # no image is compared with it
 _MOST_OBJECTIVES = 15  # as benchmarks have them; the time of a hypervolume grows exponentially
@@ -141,7 +139,12 @@ class Search:
         """
         loss, batch = result.loss, None
         if self._read is not None:
-            self._refuse_many_numbers(loss)
+            if _count(loss) > _MOST_OBJECTIVES:
+                raise ImageError(
+                    f"with a target a result is a loss, up to {_MOST_OBJECTIVES} losses of several "
+                    f"objectives, or an image, not {_count(loss)} numbers: return an image (H, W) "
+                    "or (H, W, C) as an array with all its axes, or the pair (loss, image)"
+                )
             if result.image is not None:
                 batch = self._read(result.image)
             if batch is not None and loss is None:
@@ -156,15 +159,6 @@ class Search:
         if isinstance(loss, list | tuple | np.ndarray) and _count(loss) == 1:
             loss = np.ravel(loss)[0]
         return math.inf if isinstance(loss, Real) and not math.isfinite(loss) else loss, batch
-
-    def _refuse_many_numbers(self, loss: Any) -> None:
-        if _count(loss) > _MOST_OBJECTIVES:
-            raise ImageError(
-                f"with a target a result is a loss, up to {_MOST_OBJECTIVES} losses of several "
-                f"objectives, or an image of shape (H, W) or (H, W, C), not a {type(loss).__name__}"
-                f" of {_count(loss)} numbers: return the image as an array with all its axes, or "
-                "the pair (loss, image)"
-            )
 
     def tell(self, x: Float64, loss: float, batch: Float32 | None, valid: bool) -> None:
         """Report point x (d,) with its loss, including penalties.

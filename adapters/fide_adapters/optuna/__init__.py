@@ -13,7 +13,7 @@ try:
 except ImportError as error:
     raise missing("optuna", "fide_adapters.optuna needs Optuna") from error
 
-from fide_adapters.image_loss import ImageLoss, ImageRef
+from fide_adapters.image_loss import ImageLoss
 from fide_adapters.optuna.sampler import FIDESampler, image_objective
 
-__all__ = ["FIDESampler", "ImageLoss", "ImageRef", "image_objective"]
+__all__ = ["FIDESampler", "ImageLoss", "image_objective"]

@@ -1,16 +1,13 @@
 """Images of trials: their loss, and their features in 2,600 bytes.
 
-All workers that know the target read the same features from the storage.  Stored is the difference
-d of the tokens (T, C) of an image from those of the target, one byte a number: the leading channels
-as they are, such as the mean colors of `dense`, and as many random projections of the others as
-there is room for.  A proposer uses only scalar products of features; those of projected features
-equal those of the features within the subspace, and the target is projected alike.
+All workers read the same features from the storage: the difference d of the tokens (T, C) of an
+image from those of the target, one byte a number, of the leading channels (such as the mean colors
+of `dense`) and of as many random projections of the others as there is room for,
 
     q = round(127 asinh(d / s) / asinh(R / s)),   s = u / 64, R = 32 u,
 
 where u is the root mean square of the target's tokens in the channels concerned: the steps are
-0.001 u near zero and 7 % of d far from it.  An image equal to the target is stored without error,
-and equal patches of two images are equal in storage.
+0.001 u near zero and 7 % of d far from it.  An image equal to the target has no error.
 """
 
 from __future__ import annotations
@@ -132,10 +129,9 @@ class ImageEvaluator:
 
     @cached_property
     def problem(self) -> str:
-        """Four characters; losses of two samplers can be compared only where these are equal.
+        """Four characters of the targets, the weights of pixels and the name of the loss.
 
-        They depend on the targets, the weights of their pixels and the name of the loss.  A user's
-        own loss has no name, so all of them are taken for the same one.
+        A user's own loss has no name, so all of them are taken for the same one.
         """
         views, name = self.evaluator.views, self.evaluator.loss_name
         text = json.dumps([name, views.listed, [view.target.shape for view in views.views]])

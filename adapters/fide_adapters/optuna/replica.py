@@ -6,7 +6,6 @@ has a name, (generation, slot), that means the same to everybody.
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Mapping
 from enum import StrEnum
 from typing import Any
@@ -17,7 +16,6 @@ from torch import Tensor
 from fide_plugins.evaluation import Evaluation
 from fide_plugins.fide import FIDE
 from fide_plugins.population import Candidate, CandidateRole, Population
-from fide_plugins.population.candidate import columns
 from fide_plugins.runtime.machine import timed
 from fide_plugins.saving import as_arrays
 from fide_plugins.search.moves import Stage
@@ -31,14 +29,11 @@ class Role(StrEnum):
     """What an entry of the log counts for.
 
     MEMBER: a candidate of the present generation: as if one optimizer had asked it.
-    ALTERED: asked in the present generation and yet not the candidate of that name: a parameter was
-        fixed by somebody, or another machine rounds otherwise.
-    LATE: asked in an earlier generation of the present search, or in this one when all of its
-        candidates were pending.
-    INJECTED: all others: never asked, or asked in an earlier search.
-
-    Altered and late ones count towards the generation in which they arrive, `off_distribution`;
-    where that needs just its own candidates, late and repeated ones are spare.
+    ALTERED: asked in the present generation and yet another point: somebody fixed a parameter, or
+        another machine rounds otherwise.
+    LATE: asked in an earlier generation of the present search, or when all of this one's candidates
+        were pending.
+    INJECTED: all others.  Altered and late ones count, `off_distribution`, where they arrive.
     """
 
     MEMBER = "member"
@@ -50,10 +45,10 @@ class Role(StrEnum):
 class Replica:
     """An optimizer that is told a log, and that nobody else asks or tells.
 
-    Slots have no end: those beyond the generation's size are drawn from the same distribution, by a
-    generator made from (seed, generation, slot); a test has its own candidates again there, in
-    turn.  Rounding that differs from machine to machine must not change *when a search is over*:
-    whoever asks says in which generation its search `began`, and whether it was `guided`.
+    Slots beyond the generation's size are drawn from the same distribution, by a generator made
+    from (seed, generation, slot).  Rounding that differs from machine to machine must not change
+    *when a search is over*: whoever asks says in which generation its search `began`, and whether
+    it was `guided`.
 
     snap: what a candidate (d,) becomes before it is rendered, where parameters are whole numbers,
         choices, or of a scale of their own.
@@ -98,41 +93,6 @@ class Replica:
         """Slot within the generation of the same candidate, if it needs just its own."""
         return slot % self.size if self.optimizer.state.generation_is_fixed else slot
 
-    def newest(self, slot: int, out: int) -> Candidate:
-        """Better one than the candidate in that slot, if the generation does not need that.
-
-        out: entries that are still to be told; with these and those told the generation may be
-            complete, and then what is asked now is for the next one (`State.preview_search`).
-        """
-        if slot >= self.size <= self._population.evaluated + out:
-            key = (self.generation, slot, 1)  # never that of `candidate`
-            seed = np.random.SeedSequence(self.optimizer.seed, spawn_key=key)
-            preview = self._preview(np.random.default_rng(seed))
-            if preview is not None:
-                return preview
-        return self.candidate(slot)
-
-    def _preview(self, rng: np.random.Generator) -> Candidate | None:
-        """Draw one candidate, from search and proposer as they would be updated now; None: neither.
-
-        Changes nothing: a lazy proposer is updated in a copy; a network proposes as it is.
-        """
-        state = self.optimizer.state
-        search, proposer = state.preview_search(), state.proposer
-        if search is None:
-            return None
-        if proposer is not None and proposer.lazy and state.samples:
-            proposer = copy.copy(proposer)
-            proposer.update(*columns(state.samples), state.search.std)
-        x, z = search.sample(1, rng)  # (1, d)
-        index, proposed = state.population.drawn, False
-        if proposer is not None and proposer.ready and rng.random() < state.gate.proposed:
-            v, target = search.stretched(z), self.optimizer.target_tokens
-            made = proposer.propose(v, target, search.mean, search.std, rng)
-            x, proposed = search.place_proposals(made, z), True
-            z = search.closest(x)
-        return Candidate(index, x[0], z[0], proposed=proposed, off_distribution=True)
-
     def is_candidate(self, slot: int, x: Float64) -> bool:
         """Whether x (d,) is what becomes of the candidate in that slot."""
         return bool(np.abs(self._snap(self.candidate(slot).x) - x).max() <= _ROUNDING)
@@ -153,10 +113,9 @@ class Replica:
 
         x: (d,) in [0, 1], what was rendered.  tokens: (T, C) of its image, if that is known.
         generation, slot: name of the candidate that was asked; None if it was not.
-        proposed: whether the one who asked had it from a proposer, should it be unknown here.
-        over: whether somebody began a search, tests or restart candidates after this generation;
-            None: nobody has drawn the next one yet.
-        guided: False if only losses, not images, said where it begins; None as for `over`.
+        proposed: whether the one who asked had it from a proposer.
+        over, guided: whether somebody began a search after this generation, and by images; None:
+            nobody has drawn the next one yet.
         Raises as `FIDE.tell`, before anything changes.
         """
         self._open()
@@ -194,7 +153,6 @@ class Replica:
 
     def _hand_out(self, population: Population, rng: np.random.Generator) -> list[Candidate]:
         """All candidates of a generation that remain."""
-        population.expect(population.remaining)
         self.optimizer.make_proposals(population, rng)
         return [population.hand_out() for _ in range(population.remaining)]
 
@@ -224,10 +182,7 @@ class Replica:
         return known.x
 
     def _expect_other(self, x: Float64, slot: int | None, proposed: bool) -> CandidateRole:
-        """Expect x (d,), which is no candidate; returns what it counts for.
-
-        slot: of the present generation, in which it was asked; None: it was asked in another one.
-        """
+        """Expect x (d,), which is no candidate; returns what it counts for."""
         state, role = self.optimizer.state, CandidateRole.MEMBER
         if state.generation_is_fixed:
             if slot is None or slot in self._taken:

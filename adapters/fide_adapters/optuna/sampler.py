@@ -111,8 +111,8 @@ class FIDESampler(BaseSampler):
 
         trial: that of the objective, not an object that wraps it.  Nothing is recorded for a
             `FrozenTrial` or `FixedTrial`, so an objective can be called with the best trial.
-        image: of the target's size, anything that `fide_plugins.FIDE` takes, or an `ImageRef`; for
-            a list of targets a list of them.  It is encoded at once and not kept.
+        image: of the target's size, anything that `fide_plugins.FIDE` takes; for a list of targets
+            a list of them.  It is encoded at once and not kept.
         loss: None: the sampler's own loss of the image, which needs a target and must be minimized.
 
         Raises `ImageError`, `LossError` or, in a study of several objectives, `OptionError`, all
@@ -212,7 +212,7 @@ class FIDESampler(BaseSampler):
             with self._lock:
                 self._state_of(study).features.pop(trial.number, None)
         elif self._constraints_func is not None:
-            violations = _as_constraints(self._constraints_func(trial))
+            violations = [float(value) for value in self._constraints_func(trial)]
             write_attribute(storage_of(study), trial, CONSTRAINTS, violations)
         if self._search_space is not None and state is TrialState.COMPLETE:
             self._warn_of_space(self._search_space, trial)
@@ -240,8 +240,7 @@ class FIDESampler(BaseSampler):
         """How many finished trials counted as what, for the study's latest search space.
 
         "member", "late" and "altered" were asked by FIDE, "injected" were not; "image" is how many
-        of these had one.  "left out" failed, were pruned or are of another space, target or loss;
-        "waiting" are behind an unfinished one.  `docs/reference/optuna.md` says more.
+        of these had one; "left out" do not count; "waiting" are behind an unfinished one.
         """
         with self._lock:
             return self._state_of(study).counts(study, self._search_space)
@@ -270,13 +269,10 @@ def image_objective(
 ) -> Callable[[Trial], float]:
     """Make an objective from a function of a trial that returns an image.
 
-    function: the image may be a path, too; it may also return (loss, image), an `ImageLoss`, or a
-        loss without image.
+    function: it may also return the path of an image, (loss, image), an `ImageLoss`, or a loss.
     sampler: None: that of the study, also inside a `PartialFixedSampler`.
 
     The objective raises ProtocolError if the study has no FIDESampler.
-
-        study.optimize(image_objective(render), n_trials=1000)
     """
 
     def objective(trial: Trial) -> float:
@@ -301,10 +297,7 @@ def _sampler_of(trial: Trial) -> FIDESampler:
 
 
 class _NumberedSampler(RandomSampler):
-    """Uniform parameters from (seed, number of the trial, name of the parameter).
-
-    With a plain `RandomSampler` all workers of equal seed would begin with the same parameters.
-    """
+    """Uniform parameters from (seed, number of the trial, name): workers do not begin alike."""
 
     def __init__(self, seed: int | None = None) -> None:
         super().__init__()  # whose generator is not used, and takes no seed beyond 32 bits
@@ -332,11 +325,9 @@ class _NumberedSampler(RandomSampler):
 
 
 def _check_arguments(search_space: Any, independent_sampler: Any, constraints_func: Any) -> None:
+    kinds = search_space.values() if isinstance(search_space, Mapping) else [None]
     if search_space is not None and not (
-        isinstance(search_space, Mapping)
-        and search_space
-        and all(isinstance(name, str) for name in search_space)
-        and all(isinstance(one, BaseDistribution) for one in search_space.values())
+        search_space and all(isinstance(one, BaseDistribution) for one in kinds)
     ):
         raise OptionError(
             "search_space must have distributions by name, such as "
@@ -351,20 +342,6 @@ def _check_arguments(search_space: Any, independent_sampler: Any, constraints_fu
         raise OptionError(
             f"constraints_func must be a function of a trial, not {constraints_func!r}"
         )
-
-
-def _as_constraints(values: Any) -> list[float]:
-    """What a `constraints_func` has returned, as it is stored; raises OptionError."""
-    try:
-        numbers = [float(value) for value in values]
-    except (TypeError, ValueError):
-        numbers = [np.nan]
-    if np.isnan(numbers).any():
-        raise OptionError(
-            "constraints_func must return a list of numbers, <= 0 where nothing is violated, not "
-            f"{values!r}"
-        )
-    return numbers
 
 
 def _refuse_several_objectives(study: Study) -> None:

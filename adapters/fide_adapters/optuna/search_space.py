@@ -43,11 +43,7 @@ def common(one: Distributions, other: Distributions) -> dict[str, BaseDistributi
 
 
 def _by_name(name: str) -> tuple[tuple[str, int], ...]:
-    """Key to sort names by: as text, but the whole numbers in them as numbers.
-
-    >>> sorted(["x10", "x9", "a"], key=_by_name)
-    ['a', 'x9', 'x10']
-    """
+    """Key to sort names by: as text, but the whole numbers in them as numbers."""
     parts = re.split(r"([0-9]+)", name)  # text and numbers in turn
     return tuple((t, int(n or 0)) for t, n in zip(parts[::2], [*parts[1::2], ""], strict=True))
 
@@ -144,11 +140,11 @@ class SearchSpace:
     def contains(self, params: Mapping[str, Any]) -> bool:
         """Whether each of these parameters has a value, within its range."""
         try:
-            return all(_is_in(d, params[name]) for name, d in self.distributions.items())
+            for name, d in self.distributions.items():
+                number = d.to_internal_repr(params[name])  # a ValueError for no choice
+                plain: Any = None if isinstance(d, CategoricalDistribution) else d
+                if plain is not None and not plain.low <= number <= plain.high:
+                    return False
         except (KeyError, OverflowError, TypeError, ValueError):  # Optuna refuses it, too
             return False
-
-
-def _is_in(d: Any, value: Any) -> bool:
-    number = d.to_internal_repr(value)  # a ValueError for no choice
-    return isinstance(d, CategoricalDistribution) or bool(d.low <= number <= d.high)
+        return True

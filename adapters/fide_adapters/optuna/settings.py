@@ -29,11 +29,7 @@ _NO_TARGET = np.zeros((16, 16, 3), np.float32)
 
 
 class Settings:
-    """The settings of a sampler; those of its optimizers are as for `FIDE`, which raises as well.
-
-    target: targets and weights of the views; None: nothing is proposed, which leaves CMA-ES.
-    seed: None: that of the study.
-    """
+    """The settings of a sampler; target None: nothing is proposed; seed None: that of the study."""
 
     def __init__(
         self,

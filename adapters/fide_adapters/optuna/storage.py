@@ -17,27 +17,6 @@ from optuna.trial import FrozenTrial, Trial
 
 from fide_plugins.runtime.messages import warn_user
 
-__all__ = [
-    "ASK",
-    "IMAGE",
-    "MOST_NAMED",
-    "SEED",
-    "Ask",
-    "Trials",
-    "WarnOnce",
-    "id_of",
-    "problem_of",
-    "read_ask",
-    "read_image",
-    "read_seed",
-    "read_trials",
-    "storage_of",
-    "write_ask",
-    "write_attribute",
-    "write_image",
-    "write_seed",
-]
-
 ASK, IMAGE, SEED = "fide:ask", "fide:image", "fide:seed"
 
 MOST_NAMED = 8
@@ -54,15 +33,12 @@ _LARGEST = 2**53
 class Ask:
     """Which candidate a trial got, written when its parameters are drawn.
 
-    optimizer: digest of settings, problem and search space; generations and slots are comparable
-        only between trials in which it is equal.
-    generation, slot: name of the candidate, see `fide_adapters.optuna.replica`.
-    began: generation in which the search began that the candidate belongs to.
-    guided: False if only losses, not images, said where it began.
+    optimizer: digest of settings, problem and search space; names are comparable where it is equal.
+    generation, slot: name of the candidate.  began, guided: when its search began; by images?
     proposed: whether a proposer made the candidate.
     skipped: numbers of unfinished trials that nobody waits for from here on.
     late: numbers of skipped trials that have finished since; they count here.
-    problem: digest of target and loss, see `images.ImageEvaluator.problem`; None without a target.
+    problem: digest of target and loss; None without a target.
     """
 
     optimizer: str

@@ -41,11 +41,8 @@ Evaluation: TypeAlias = tuple[float, Tensor | None]
 """Loss of a trial, and the features (T, C) of its image if they are known."""
 
 Evaluate: TypeAlias = Callable[[FrozenTrial, bool], Evaluation | None]
-"""Evaluation of a finished trial, None if it does not count.
-
-The second argument says whether to use features only as they are stored.  If it is False and they
-are known only as they are stored, StoredFeaturesNeeded is raised.
-"""
+"""Evaluation of a finished trial, by stored features only if the second argument is true; None if
+it does not count.  Raises StoredFeaturesNeeded if it is false and nothing else is known."""
 
 
 class StoredFeaturesNeeded(Exception):
@@ -88,10 +85,9 @@ class StudyOptimizer:
         return self._order.is_processed(number)
 
     def process(self, trials: Trials, evaluate: Evaluate) -> None:
-        """Process the trials that have finished.
+        """Process the trials that have finished; after an exception begin again.
 
-        After an exception, such as Ctrl-C, the next call begins again: of a trial that was told in
-        part nothing is known.
+        Of a trial that was told in part nothing is known.
         """
         if self._broken:
             self.restart()
@@ -134,10 +130,7 @@ class StudyOptimizer:
 
     @property
     def lacks_images(self) -> bool:
-        """Whether as many of its own as a generation has have a loss, and none has an image.
-
-        What has no finite loss failed, so that there may be no image.
-        """
+        """Whether as many of its own as a generation has have a finite loss, and none an image."""
         return self._without_image >= self.replica.size and not self.counts["image"]
 
     def agrees(self, news: News) -> bool:
@@ -151,10 +144,7 @@ class StudyOptimizer:
         )
 
     def skip_overdue(self, trials: Trials, number: int, evaluate: Evaluate) -> list[int]:
-        """Skip trials before `number` that take too long, and process what follows them.
-
-        Returns the numbers of the skipped trials.
-        """
+        """Skip trials before `number` that take too long, process what follows; their numbers."""
         skipped: list[int] = []
         while len(skipped) < MOST_NAMED:
             overdue = self._order.overdue(trials, self.replica.size)
@@ -166,12 +156,10 @@ class StudyOptimizer:
             self.process(trials, evaluate)
         return skipped
 
-    def ask(
-        self, trials: Trials, number: int, skipped: list[int], late: list[int]
-    ) -> tuple[Ask, dict[str, Any]]:
+    def ask(self, number: int, skipped: list[int], late: list[int]) -> tuple[Ask, dict[str, Any]]:
         """Record and parameters of trial `number`."""
         slot = number - self._first if number >= self._first else _EARLIER + number
-        candidate = self.replica.newest(slot, self._order.pending(trials, number))
+        candidate = self.replica.candidate(slot)
         ask = Ask(
             optimizer=self.digest,
             generation=self.replica.generation,
@@ -222,17 +210,16 @@ class StudyState:
     def update(self, study: Study, number: int = 0) -> Distributions:
         """Read what is new in the storage; returns the relative search space of trial `number`.
 
-        Before any trial has completed, it is what the first running trial has so far, so that
-        workers that start at the same time get candidates of one generation.
+        Before any trial has completed, it is what the first running trial has so far.
         """
         self._read(study)
         news = self._history.update(self._trials)
         for trial in news.finished:
-            if trial.state is TrialState.COMPLETE and not self._is_common_to(trial):
-                before = self._common
-                seen = trial.distributions if before is None else before
-                self._common = common(seen, trial.distributions)
-                self.lost_space = bool(before) and not self._common
+            if trial.state is TrialState.COMPLETE:
+                before, kinds = self._common, trial.distributions
+                if before is None or any(kinds.get(name) != d for name, d in before.items()):
+                    self._common = common(kinds if before is None else before, kinds)
+                    self.lost_space = bool(before) and not self._common
         for optimizer in self._optimizers.values():
             if not optimizer.agrees(news):
                 optimizer.restart()
@@ -242,11 +229,6 @@ class StudyState:
         running = (t for t in self._trials[:number] if t.state is TrialState.RUNNING and t.params)
         first = next(running, None)
         return {} if first is None else common(first.distributions, first.distributions)
-
-    def _is_common_to(self, trial: FrozenTrial) -> bool:
-        if self._common is None:
-            return False
-        return all(trial.distributions.get(name) == d for name, d in self._common.items())
 
     def _read(self, study: Study) -> None:
         """Read all trials; another study of the same name has another first trial."""
@@ -280,8 +262,7 @@ class StudyState:
     ) -> Any:
         """Value of one parameter of the first trial, whose search space is not known yet.
 
-        It is that of the first candidate of the search, as far as parameters are floats that are
-        suggested in the order of `SearchSpace`; otherwise it belongs to another candidate.
+        It is that of the first candidate of the search for floats in the order of `SearchSpace`.
         """
         self._agree_on_seed(study)
         space = SearchSpace({name: distribution})
@@ -315,7 +296,7 @@ class StudyState:
             )
         self._release_features(optimizer)
         late = [n for n in self._history.uncounted(self._trials) if n < trial.number]
-        ask, params = optimizer.ask(self._trials, trial.number, skipped, late)
+        ask, params = optimizer.ask(trial.number, skipped, late)
         ask = replace(ask, problem=self._settings.problem)
         storage.write_ask(storage.storage_of(study), trial, ask)
         return params
@@ -347,11 +328,7 @@ class StudyState:
     # -- results -----------------------------------------------------------------------------------
 
     def _evaluation(self, study: Study, trial: FrozenTrial, only_stored: bool) -> Evaluation | None:
-        """Loss and features of a finished trial; None if it does not count.
-
-        only_stored: whether to use features only as they are stored.
-        Raises StoredFeaturesNeeded if the features are known only as they are stored.
-        """
+        """Loss and features of a finished trial; None if it does not count."""
         settings = self._settings
         loss = loss_of(study, trial, settings.warn)
         if loss is None or self._is_of_another_problem(trial):
@@ -399,10 +376,7 @@ class StudyState:
             del self.features[number]
 
     def counts(self, study: Study, distributions: Distributions | None) -> dict[str, int]:
-        """How many trials counted as what, in the latest search space.
-
-        distributions: the search space, if none was asked for yet; None: the relative one.
-        """
+        """How many trials counted as what, in the latest or else in this search space."""
         relative = self.update(study)
         if not self._distributions:
             self._search(relative if distributions is None else distributions)

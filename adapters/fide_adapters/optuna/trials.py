@@ -5,19 +5,16 @@ never changes, so all workers that have processed the trials below some number h
 same.  What remains is a trial that does not finish, because a worker was killed, or because a user
 forgot to call `study.tell`:
 
-- *Waiting*: processing stops at the first unfinished trial.  New trials continue to get candidates
-  of the current generation.
+- *Waiting*: processing stops at the first unfinished trial.  New trials get candidates of the
+  current generation.
 - *Skipping*: when enough later trials have completed, the next worker that asks stops waiting, and
-  its own record says so.  From then on all workers skip the trial.  Enough are as many as a
-  generation has, and four times as many as were completed while any of them ran: of 100 workers
-  about 4 x 100, however many trials of killed workers are never told.
+  its own record says so; from then on all workers skip the trial.  Enough are as many as a
+  generation has, and four times as many as were completed while any of them ran.
 - *Late*: a skipped trial that completes after all counts at the place of the first trial that is
-  asked then.  The record of that trial says so, and all workers read the record before they get
-  there.
+  asked then, as the record of that one says.
 
-Workers may disagree for a moment on which trial is slow enough to be skipped.  A worker that has
-processed a trial in its place, and then reads that the trial was skipped, processes all trials
-again.  Nothing is rendered for that.
+A worker that has processed a trial in its place, and then reads that the trial was skipped,
+processes all trials again.  Nothing is rendered for that.
 """
 
 from __future__ import annotations
@@ -47,12 +44,9 @@ _WORST_VIOLATION = 1e100  # larger ones all count as this
 
 @dataclass
 class News:
-    """What an update of the history found.
+    """Trials that have finished since, numbers of those skipped since, and beginnings of searches.
 
-    finished: trials that have finished since.
-    skipped: numbers of trials that are skipped since.
-    began: (optimizer, generation, generation in which its search began, whether guided there),
-        each read for the first time.
+    began: (optimizer, generation, generation in which its search began, whether guided there).
     """
 
     finished: list[FrozenTrial] = field(default_factory=list)
@@ -63,8 +57,7 @@ class News:
 class History:
     """Facts about a study's trials that all workers can read in the storage.
 
-    A study may have thousands of trials and is read before each: no trial is looked at again once
-    it has finished and its record was read.
+    No trial is looked at again once it has finished and its record was read.
     """
 
     def __init__(self, warn: WarnOnce) -> None:
@@ -115,10 +108,7 @@ class History:
             news.began.append((*key, ask.began, ask.guided))
 
     def began(self, optimizer: str, generation: int) -> tuple[int, bool] | None:
-        """Generation in which the search of `generation` began, and whether guided there.
-
-        None if no record says it.
-        """
+        """When the search of `generation` began, and whether guided; None if no record says it."""
         known = self._began.get((optimizer, generation))
         return None if known is None else known[1:]
 
@@ -173,22 +163,9 @@ class TrialOrder:
         skipped = number in self._history.skipped and number not in self._counted_late
         return number < self.next and not skipped
 
-    def _ahead(self, trials: Trials, end: int | None = None) -> list[FrozenTrial]:
-        """Trials that are still to be processed, those before `end`."""
-        numbers = range(self.next, len(trials) if end is None else end)
-        return [trials[n] for n in numbers if n not in self._history.skipped]
-
-    def pending(self, trials: Trials, number: int) -> int:
-        """How many trials before `number` are still to be processed, as far as is known."""
-        countable = (TrialState.RUNNING, TrialState.COMPLETE)
-        return sum(trial.state in countable for trial in self._ahead(trials, number))
-
     def overdue(self, trials: Trials, generation: int) -> list[int]:
-        """Unfinished trials, the next in the order, that are not worth waiting for any longer.
-
-        generation: candidates a generation.
-        """
-        ahead = self._ahead(trials)
+        """Unfinished trials, next in the order, not worth waiting for; generation: its size."""
+        ahead = [t for t in trials[self.next :] if t.number not in self._history.skipped]
         completed = [trial for trial in ahead if trial.state is TrialState.COMPLETE]
         if len(completed) < generation or ahead[0].state.is_finished():
             return []
@@ -199,11 +176,7 @@ class TrialOrder:
 
 
 def _most_at_once(completed: list[FrozenTrial]) -> int:
-    """How many of these trials were completed while one of them ran, itself included, at most.
-
-    Only the times of completed trials say how many workers are alive: trials of those that were
-    killed run forever.
-    """
+    """How many of these trials were completed while one of them ran, itself included, at most."""
     times = [
         (trial.datetime_start.replace(tzinfo=None), trial.datetime_complete.replace(tzinfo=None))
         for trial in completed
@@ -225,29 +198,22 @@ def loss_of(study: Study, trial: FrozenTrial, warn: WarnOnce) -> float | None:
     """
     if trial.state is not TrialState.COMPLETE or trial.value is None:
         return None
-    violation = sum(_violation(stored, trial.number, warn) for stored in _constraints(trial))
+    attributes, prefix = trial.system_attrs, f"{CONSTRAINTS}:"
+    legacy = attributes.get(CONSTRAINTS, [])
+    stored = list(legacy) if isinstance(legacy, list | tuple) else [legacy]
+    stored += [value for key, value in attributes.items() if key.startswith(prefix)]
+    violation = 0.0
+    for value in stored:  # <= 0 where nothing is violated
+        if isinstance(value, Real) and not isinstance(value, bool):
+            try:
+                above = float(value)
+            except OverflowError:  # a whole number beyond all floats
+                above = 0.0 if str(value).startswith("-") else _WORST_VIOLATION
+            violation += max(min(above, _WORST_VIOLATION), 0.0) if above == above else math.inf
+        else:
+            warn(
+                CONSTRAINTS, f"a constraint of trial {trial.number} is not a number, and is ignored"
+            )
     if violation > 0:
         return _INFEASIBLE * (1.0 + min(violation, _WORST_VIOLATION))
     return -trial.value if study.direction is StudyDirection.MAXIMIZE else trial.value
-
-
-def _constraints(trial: FrozenTrial) -> list[object]:
-    """What is stored as constraints: numbers that must not be positive, if all is well."""
-    legacy = trial.system_attrs.get(CONSTRAINTS, [])
-    known = list(legacy) if isinstance(legacy, list | tuple) else [legacy]
-    prefix = f"{CONSTRAINTS}:"
-    return known + [value for key, value in trial.system_attrs.items() if key.startswith(prefix)]
-
-
-def _violation(stored: object, number: int, warn: WarnOnce) -> float:
-    """By how much one constraint is violated; 0 if it is not a number."""
-    if not isinstance(stored, Real) or isinstance(stored, bool):
-        warn(CONSTRAINTS, f"a constraint of trial {number} is not a number, and is ignored")
-        return 0.0
-    try:
-        value = float(stored)
-    except OverflowError:  # a whole number beyond all floats
-        value = -math.inf if str(stored).startswith("-") else math.inf
-    if math.isnan(value):
-        value = math.inf
-    return min(max(value, 0.0), _WORST_VIOLATION)

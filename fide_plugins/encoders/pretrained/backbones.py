@@ -1,10 +1,7 @@
-"""The convolutional parts of AlexNet and VGG, for published weights.
+"""The convolutional parts of AlexNet (Krizhevsky 2014) and VGG-19 (Simonyan and Zisserman 2014).
 
 Layers have the order and the names (``features.N.weight``, ``features.N.bias``) of torchvision's
-models, so that its published files fit; torchvision itself is not needed.  The networks:
-Krizhevsky 2014, "One weird trick for parallelizing convolutional neural networks"; Simonyan and
-Zisserman 2014, "Very deep convolutional networks for large-scale image recognition", configurations
-D and E.
+models, so that its published files fit; torchvision itself is not needed.
 """
 
 from __future__ import annotations
@@ -12,7 +9,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import torch
 from torch import Tensor, nn
@@ -20,7 +16,7 @@ from torch import Tensor, nn
 from fide_plugins.encoders.pretrained import weights
 from fide_plugins.encoders.pretrained.weights import Published
 
-__all__ = ["ALEXNET", "VGG16", "VGG19", "Architecture", "Backbone", "load"]
+__all__ = ["ALEXNET", "VGG19", "Architecture", "Backbone", "load"]
 
 _URL = "https://download.pytorch.org/models/"
 
@@ -81,11 +77,10 @@ def _alexnet() -> list[nn.Module]:
     ]
 
 
-def _vgg(*convolutions: int) -> list[nn.Module]:
-    """Number of convolutions in each of the five blocks; a pooling layer follows each block."""
+def _vgg19() -> list[nn.Module]:
     layers: list[nn.Module] = []
     channels = 3
-    for count, width in zip(convolutions, (64, 128, 256, 512, 512), strict=True):
+    for count, width in zip((2, 2, 4, 4, 4), (64, 128, 256, 512, 512), strict=True):
         for _ in range(count):
             layers += _convolution(channels, width, 3, padding=1)
             channels = width
@@ -105,5 +100,4 @@ def _published(network: str, stem: str, sha256: str) -> Published:
 
 
 ALEXNET = Architecture(_published("AlexNet", "alexnet-owt", "7be5be79"), _alexnet)
-VGG16 = Architecture(_published("VGG-16", "vgg16", "397923af"), partial(_vgg, 2, 2, 3, 3, 3))
-VGG19 = Architecture(_published("VGG-19", "vgg19", "dcbb9e9d"), partial(_vgg, 2, 2, 4, 4, 4))
+VGG19 = Architecture(_published("VGG-19", "vgg19", "dcbb9e9d"), _vgg19)

@@ -1,12 +1,7 @@
-"""The `dinov3` encoder: patch tokens of a DINOv3 or DINOv2 vision transformer.
+"""The `dinov3` encoder: patch tokens of a DINOv3 or DINOv2 transformer (Siméoni et al. 2025).
 
-Siméoni et al. 2025, "DINOv3"; Oquab et al. 2023, "DINOv2".  The default is the small DINOv3 with
-patches of 16 x 16, the features of the paper.  Tokens are those of the last layer, with the
-network's own normalization; class and register tokens are left out.
-
-The network is a folder in the layout of the Hugging Face hub, with ``config.json`` and
-``*.safetensors``, or a repository in the hub's cache on this machine.  Only ``download=True``
-downloads anything; DINOv3 then needs consent to its license on the hub, and `hf auth login`.
+Tokens are those of the last layer; class and register tokens are left out.  The network is a folder
+in the layout of the Hugging Face hub, or a repository in the hub's cache on this machine.
 """
 
 from __future__ import annotations

@@ -3,18 +3,13 @@
 A baseline says how it draws candidates (`_sample`), what it learns from a complete generation
 (`_update`), and where its search stands (`recommend`).
 
-*Generations* are kept by `fide_plugins.population`, as FIDE's are: a generation is complete as soon
-as `popsize` pending candidates are evaluated, in whatever order and pieces.  `_update` receives
-the candidates exactly as they were drawn, in the order in which they were asked.
-
-*Injected candidates* were never asked, were told before, or were asked before a restart.  They are
-counted and can become `best`; they do not move the search.
-
-*Losses that are NaN or infinite* are counted, rank last, and never become `best`.
+*Generations* are kept by `fide_plugins.population`, as FIDE's are.  `_update` receives candidates
+exactly as they were drawn, in the order in which they were asked.  *Injected candidates* were never
+asked, were told before, or were asked before a restart: they can become `best`, and do not move the
+search.  *Losses that are NaN or infinite* are counted, rank last, and never become `best`.
 
 *Saving.*  A baseline is saved as what was asked and told, and loading runs it again: nothing of a
-library's inner state has to be stored.  What takes long is not done again: `Proposals` are saved,
-and the networks that made them (`_network_state`).
+library's inner state has to be stored, and networks are trained again.
 """
 
 from __future__ import annotations
@@ -23,9 +18,8 @@ import sys
 import warnings
 from abc import abstractmethod
 from array import array as numbers
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -34,9 +28,9 @@ import numpy as np
 from fide_plugins import losses as losses_module
 from fide_plugins.errors import CheckpointError, ImageError, LossError, OptionError
 from fide_plugins.losses.base import as_losses
-from fide_plugins.population import Candidate, Population
+from fide_plugins.population import Population
 from fide_plugins.runtime.machine import timed
-from fide_plugins.runtime.schema import Schema, Sides, anything, array, check, maybe, real, whole
+from fide_plugins.runtime.schema import Schema, Sides, array, check, maybe, real, whole
 from fide_plugins.runtime.threads import Lock, one_at_a_time, one_thread
 from fide_plugins.saving import Saved
 from fide_plugins.search.cma_es import default_popsize
@@ -76,21 +70,6 @@ def quietly() -> Iterator[None]:
         yield
 
 
-class Proposals:
-    """Points that networks proposed; while a run is replayed, those that they had proposed."""
-
-    def __init__(self) -> None:
-        self.made: list[Float64] = []
-        self.replays = False
-        self.saved: deque[Float64] = deque()
-
-    def __call__(self, n: int, propose: Callable[[], Float64]) -> Float64:
-        """The next n points (n, dim), by `propose` or as they were saved."""
-        X = np.array([self.saved.popleft() for _ in range(n)]) if self.replays else propose()
-        self.made.extend(X)
-        return X
-
-
 _INJECTED = -1
 
 
@@ -116,8 +95,8 @@ class Baseline(Saved):
     """Arguments of a subclass's constructor that are attributes, beside those of its bases."""
     more_options: ClassVar[tuple[str, ...]] = ()
     """Arguments of its constructor that it takes by ``**options``."""
-    keeps_features: ClassVar[bool] = True
-    """Whether the history holds the features of images, for the replay."""
+    resumable: bool = True
+    """Whether what is saved can be loaded: not if it needs images again, or large features."""
     status = None
     """No baseline says how its run is going, as `FIDE.status` does."""
 
@@ -156,9 +135,8 @@ class Baseline(Saved):
         self._events = numbers("q")
         self._losses = numbers("d")  # told
         self._injected = numbers("d")  # points told that were not pending
-        self._features: list[Float32] = []  # of the last images told: of all that are needed again
+        self._features: list[Float32] = []  # told
         self._asked: Float64 = np.empty((0, self.dim))  # last generation
-        self._proposals = Proposals()
 
     # -- ask and tell ------------------------------------------------------------------------------
 
@@ -175,8 +153,8 @@ class Baseline(Saved):
         If all of it is pending, another `popsize` candidates are drawn.
         """
         n = None if n is None else whole_number("n", n, 1)
-        with self._timed("search"):
-            return np.array([candidate.x for candidate in self._hand_out(n)])
+        with timed(self.times, "search"):
+            return np.array(list(self._hand_out(n).values()))
 
     def ask_ready(self) -> Float64:
         """As `ask`."""
@@ -196,14 +174,14 @@ class Baseline(Saved):
         shape, batch = None if self.target is None else self.target.shape, None
         if images is not None:
             batch = as_batch(images, shape, n=len(points))
-        with self._timed("encode"):
+        with timed(self.times, "encode"):
             if losses is not None:
                 values = as_losses(losses, len(points))
             else:
                 assert batch is not None
                 values = self._loss.compute(batch)
             features = self._encode(batch)
-        with self._timed("search"):
+        with timed(self.times, "search"):
             for i, (x, loss) in enumerate(zip(points, values.tolist(), strict=True)):
                 image = None if batch is None else batch[i]
                 self._record(x, loss, image, None if features is None else features[i])
@@ -220,62 +198,31 @@ class Baseline(Saved):
 
     @abstractmethod
     def _update(self, X: Float64, losses: Float64, features: Float32 | None) -> None:
-        """Learn from a generation, (popsize, dim) and (popsize,); losses are finite or +inf.
-
-        features: (popsize, f), what `_encode` made of its images; None in a replay if `_update`
-            had them forgotten.
-        """
+        """Learn from a generation: (popsize, dim), (popsize,) finite or +inf, and (popsize, f)."""
 
     def _encode(self, batch: Float32 | None) -> Float32 | None:
         """Features (n, f) of images (n, H, W, 3) that `_update` needs; None: it needs none."""
         return None
 
-    def _forget_features(self) -> None:
-        """The features of all that was told are not needed again, nor in a replay."""
-        self._features.clear()
-
-    def _own_settings(self) -> dict[str, Any]:
-        """Arguments of the subclasses' constructors, by name."""
-        names = [name for kind in type(self).__mro__ for name in vars(kind).get("own_options", ())]
-        return {name: getattr(self, name) for name in names}
-
-    def _network_state(self) -> Any:
-        """What a replay does not bring about: that of networks, and of what draws for them."""
-        return None
-
-    def _load_network_state(self, state: Any) -> None:
-        """Put back what `_network_state` gave; ValueError if it is impossible."""
-
-    def _sides(self) -> Sides:
-        """Sides of the arrays in a saved state."""
-        sides = {"d": self.dim}
-        if self.target is not None:
-            sides["H"], sides["W"], _ = self.target.shape
-        return sides
-
     def _default_popsize(self) -> int:
-        """Hansen's 4 + 3 ln d, as that of FIDE."""
         return default_popsize(self.dim)
 
     def _smallest_popsize(self) -> int:
         return 1
 
-    def _timed(self, part: str) -> AbstractContextManager[None]:
-        return timed(self.times, part)
-
     # -- bookkeeping -------------------------------------------------------------------------------
 
-    def _hand_out(self, n: int | None) -> list[Candidate]:
-        """The next n candidates; None: those that remain of a generation."""
+    def _hand_out(self, n: int | None) -> dict[int, Float64]:
+        """The next n candidates by index; None: those that remain of a generation."""
         population = self._population
         n = n or population.remaining or self.popsize
-        population.expect(n)
-        handed_out: list[Candidate] = []
+        handed_out: dict[int, Float64] = {}
         while len(handed_out) < n:
             if not population.remaining:
                 self._asked = self._sample()
                 population.draw(self._asked, self._asked)
-            handed_out.append(population.hand_out())
+            candidate = population.hand_out()
+            handed_out[candidate.index] = candidate.x
         self._events.append(-(n + 1))
         return handed_out
 
@@ -291,28 +238,26 @@ class Baseline(Saved):
             self._injected.extend(x.tolist())
         elif features is not None:
             self._told_features[candidate.index] = features
-        if features is not None and self.keeps_features:
+        if features is not None and self.resumable:
             self._features.append(features)
         if finite and (self._best is None or loss < self._best.loss):
             image = None if image is None else image.copy()
             self._best = Solution(x.copy(), loss, self.evaluations, image)
         self.evaluations += 1
         if self._population.complete:
-            self._finish_generation()
-
-    def _finish_generation(self) -> None:
-        members, losses = self._population.close_generation()
-        told, self._told_features = self._told_features, {}
-        known = all(member.index in told for member in members)
-        features = np.array([told[member.index] for member in members]) if known else None
-        self._update(np.array([member.x for member in members]), losses, features)
+            members, losses = self._population.close_generation()
+            told, self._told_features = self._told_features, {}
+            seen = np.array([told[one.index] for one in members]) if told else None
+            self._update(np.array([one.x for one in members]), losses, seen)
 
     # -- saving: see `saving.Saved` ---------------------------------------------------------------
 
     def settings(self) -> dict[str, Any]:
         """Arguments of the constructor, by name, but for `loss` and `device`."""
         common = {"dim": self.dim, "target": self.target, "popsize": self.popsize}
-        return {**common, "sigma0": self.sigma0, "seed": self.seed, **self._own_settings()}
+        names = [name for kind in type(self).__mro__ for name in vars(kind).get("own_options", ())]
+        own = {name: getattr(self, name) for name in names}
+        return {**common, "sigma0": self.sigma0, "seed": self.seed, **own}
 
     @property
     def loss_name(self) -> str | None:
@@ -321,7 +266,7 @@ class Baseline(Saved):
 
     @one_at_a_time
     def state_dict(self) -> dict[str, Any]:
-        """The best point, the counts, the history, and what networks know."""
+        """The best point, the counts, and the history."""
         names, best = ("x", "loss", "evaluation", "image"), self._best
         return {
             "evaluations": self.evaluations,
@@ -332,48 +277,54 @@ class Baseline(Saved):
             "injected": np.array(self._injected, np.float64).reshape(-1, self.dim),
             "features": np.array(self._features, np.float32) if self._features else None,
             "asked": self._asked,
-            "proposals": np.array(self._proposals.made).reshape(-1, self.dim),
-            "network": self._network_state(),
         }
 
     @one_at_a_time
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Go on where `state_dict` was called; ValueError if `state` is impossible.
 
-        Raises CheckpointError (a ValueError) if the replay asks for other candidates.
+        Raises CheckpointError (a ValueError) if it needs images again, which a checkpoint does not
+        hold, or if the replay asks for other candidates.
         """
-        check(state, _SCHEMA, self._sides())
+        if not self.resumable:
+            raise CheckpointError(
+                f"{self.name} learns from images, which a checkpoint does not hold, so it cannot "
+                "be resumed; run it again from the beginning, in another directory"
+            )
+        sides = {"d": self.dim}
+        if self.target is not None:
+            sides["H"], sides["W"], _ = self.target.shape
+        check(state, _SCHEMA, self._sides() | sides)
         self._replay(state)
         if not np.array_equal(self._asked, state["asked"]):
             raise CheckpointError(
                 f"{self.name} asks for other candidates when it is run again; draw random numbers "
                 "from its seed, or run it again from the beginning, in another directory"
             )
-        self._load_network_state(state["network"])
         self.evaluations, self.times = state["evaluations"], dict(state["times"])
         self._best = None if state["best"] is None else Solution(**state["best"])
+
+    def _sides(self) -> Sides:
+        return {}
 
     def _replay(self, state: Mapping[str, Any]) -> None:
         """Ask and tell what the saved baseline was asked and told."""
         events: list[int] = state["events"].tolist()
         told, injected = sum(event >= _INJECTED for event in events), events.count(_INJECTED)
-        kept = [] if state["features"] is None else list(state["features"])
-        if (told, injected) != (len(state["losses"]), len(state["injected"])) or len(kept) > told:
+        seen = [None] * told if state["features"] is None else list(state["features"])
+        if (told, told, injected) != (len(state["losses"]), len(seen), len(state["injected"])):
             raise ValueError(
                 f"a history of {told} results, {injected} of them injected, lacks some"
             )
-        features = iter([None] * (told - len(kept)) + kept)
         points, losses = iter(state["injected"]), iter(state["losses"].tolist())
+        features = iter(seen)
         pending: dict[int, Float64] = {}
-        self._proposals.saved.extend(state["proposals"])
-        self._proposals.replays = True
         for event in events:
             if event < _INJECTED:
-                pending |= {c.index: c.x for c in self._hand_out(-event - 1)}
+                pending |= self._hand_out(-event - 1)
             else:
                 x = next(points) if event == _INJECTED else pending.pop(event)
                 self._record(x, next(losses), None, next(features))
-        self._proposals.replays = False
 
 
 _SCHEMA: Schema = {
@@ -390,10 +341,8 @@ _SCHEMA: Schema = {
     "events": array("e", kind="i", low=None),
     "losses": array("t", low=None),
     "injected": array("n", "d", low=0.0, high=1.0),
-    "features": maybe(array("m", "f")),
+    "features": maybe(array("t", "f")),
     "asked": array("k", "d", low=0.0, high=1.0),
-    "proposals": array("p", "d", low=0.0, high=1.0),
-    "network": anything,  # the subclass checks its own
 }
 
 
@@ -469,16 +418,12 @@ class ImageBased(Baseline):
 
     @one_at_a_time
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on where `state_dict` was called; ValueError if `state` is impossible.
-
-        Raises CheckpointError (a ValueError) if the features are of another encoder, or of other
-        weights.
-        """
+        """As any baseline; CheckpointError (a ValueError) also for features of another encoder."""
         self._encoder.check_version(state["encoder"])
         super().load_state_dict({k: value for k, value in state.items() if k != "encoder"})
 
     def _sides(self) -> Sides:
-        return super()._sides() | {"f": len(self.target_features)}
+        return {"f": len(self.target_features)}
 
 
 def needed_images(name: str, batch: Float32 | None) -> Float32:

@@ -14,17 +14,11 @@ Every round fits new networks to the best points so far (the buffer), in double 
 5. Candidates: many samples of the posterior are improved by Adam on the score r + alpha log p_prior
    and the best `popsize` of them, clamped to the box, are evaluated.
 
-Where this deviates from the authors' program
----------------------------------------------
-- Adam climbs the score itself, not its exponential, and without the divergence part of
-  log p_prior, whose gradient the program drops as well; the final ranking has it.
-- The variances of the noise are the program's: 31 from 7.6e-4 to 0.0207, of which it trains and
-  samples with all but the cleanest, so that candidates keep more noise than the paper's 30 numbers
-  from 1e-4 to 0.02 would leave.
-- log p_prior is the program's own number, see `program_likelihood`: its ODE goes the other way
-  round and ends in N(0, 0.0276^2), so that it is no likelihood, but a strong pull to the mean of
-  the buffer.  (With the exact one, alpha = 1e-4 weighs next to nothing in the score.)
-- The first points are the center of the box and uniform ones, like those of the others here.
+It deviates from the authors' program: Adam climbs the score itself, not its exponential, and
+without the divergence part of log p_prior; the first points are the center of the box and uniform
+ones.  Variances are the program's: 31 from 7.6e-4 to 0.0207, of which it trains and samples with
+all but the cleanest.  log p_prior is its own number, see `program_likelihood`: no likelihood, but a
+strong pull to the mean of the buffer.
 """
 
 from __future__ import annotations
@@ -32,7 +26,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from copy import deepcopy
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, fields
 from functools import cached_property, partial
 from math import log, pi
 from typing import Any, ClassVar
@@ -44,9 +38,10 @@ from torch import Tensor, nn
 
 from fide_lab.baselines.base import Baseline
 from fide_lab.baselines.zerograds import make
+from fide_plugins.runtime.machine import timed
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.types import Float32, Float64
-from fide_plugins.validation.options import Rule, one_of, positive, whole
+from fide_plugins.validation.options import one_of, positive
 from fide_plugins.validation.points import whole_number
 
 HARMONICS = 64
@@ -202,18 +197,19 @@ def program_likelihood(
 ) -> Tensor:
     """What the authors' program calls log p(x), (n,), of a model with so many steps.
 
-    It means to integrate the probability-flow ODE from a point to noise, in the coordinates
-    y = x / sqrt(abar), where it is dy/dsigma = epsilon, sigma = sqrt((1 - abar) / abar).  It starts
-    at the noisy end instead, at sigma = 0.63 for 30 steps, and ends at the clean one, 0.028, where
-    it takes the density of N(0, 0.028^2).  Its times run backwards as well.  One step of the 3/8
-    rule makes the whole way, and the divergence is that of x, without the factor of y.  What
-    remains is a strong pull to the mean of the buffer: at 2 standard deviations in each of 20
-    parameters, alpha log p is about -5, where the exact one has -0.005 and the reward a range of
-    some units.  The searches of the authors were made with it.
+    It means to integrate the probability-flow ODE from a point to noise, in y = x / sqrt(abar),
+    where it is dy/dsigma = epsilon, sigma = sqrt((1 - abar) / abar).  It starts at the noisy end
+    instead, at sigma = 0.63 for 30 steps, ends at the clean one, 0.028, and takes the density of
+    N(0, 0.028^2) there.  Its times run backwards as well, one step of the 3/8 rule makes the whole
+    way, and the divergence is that of x.  What remains is a strong pull to the mean of the buffer,
+    with which the searches of the authors were made.
 
     Without a generator the divergence is left out; the program takes no gradient of it.
     """
-    signs = random_signs(x, generator)
+    signs = None
+    if generator is not None:
+        coin = torch.randint(2, x.shape, generator=generator, device=x.device)
+        signs = 2.0 * coin.to(x.dtype) - 1.0
     abar = (1 - program_betas(steps).flip(0)).cumprod(0)
     sigmas = ((1 - abar) / abar).sqrt()  # rising, (steps + 1,)
     clean, noisy = float(sigmas[0]), float(sigmas[-1])
@@ -233,14 +229,6 @@ def program_likelihood(
     log_normal = -0.5 * (y.square() / clean**2 + log(2 * pi * clean**2)).sum(dim=1)
     out: Tensor = log_normal + gained
     return out
-
-
-def random_signs(x: Tensor, generator: torch.Generator | None) -> Tensor | None:
-    """Signs of the shape of x; None without a generator."""
-    if generator is None:
-        return None
-    coin = torch.randint(2, x.shape, generator=generator, device=x.device)
-    return 2.0 * coin.to(x.dtype) - 1.0
 
 
 def noise_and_divergence(
@@ -269,29 +257,31 @@ POOL_JITTER = 1e-2  # noise on points of the pool
 RATE, POSTERIOR_RATE, SEARCH_RATE = 1e-3, 1e-4, 1e-2  # of Adam
 
 
-def _option(default: float, rule: Rule) -> Any:
-    return field(default=default, metadata={"rule": rule})
+_LEAST = {"posterior_epochs": 0, "search_epochs": 0, "diffusion_steps": 2}  # others: 1
 
 
 @dataclass(frozen=True)
 class RoundOptions:
     """What `DiBO` documents; OptionError (a ValueError) for an option out of range."""
 
-    proxy_epochs: int = _option(50, whole(1))
-    prior_epochs: int = _option(50, whole(1))
-    posterior_epochs: int = _option(50, whole(0))
-    search_epochs: int = _option(30, whole(0))
-    proposals: int = _option(10, whole(1))
-    diffusion_steps: int = _option(30, whole(2))
-    alpha: float = _option(1e-4, positive)
-    gamma: float = _option(1.0, positive)
-    width: int = _option(512, whole(1))
-    proxy_width: int = _option(256, whole(1))
-    batch: int = _option(256, whole(1))
+    proxy_epochs: int = 50
+    prior_epochs: int = 50
+    posterior_epochs: int = 50
+    search_epochs: int = 30
+    proposals: int = 10
+    diffusion_steps: int = 30
+    alpha: float = 1e-4
+    gamma: float = 1.0
+    width: int = 512
+    proxy_width: int = 256
+    batch: int = 256
 
     def __post_init__(self) -> None:
-        for option in fields(self):
-            option.metadata["rule"](option.name, getattr(self, option.name))
+        for name, value in asdict(self).items():
+            if name in ("alpha", "gamma"):
+                positive(name, value)
+            else:
+                whole_number(name, value, _LEAST.get(name, 1))
 
 
 class Round:
@@ -306,8 +296,8 @@ class Round:
     @cached_property
     def proxy(self) -> Ensemble:
         """The reward, (n, d) -> (n,)."""
-        o = self.options
-        ensemble: Ensemble = self._make(lambda: Ensemble(self.x.shape[1], o.proxy_width, o.gamma))
+        o, dim = self.options, self.x.shape[1]
+        ensemble = make(lambda: Ensemble(dim, o.proxy_width, o.gamma), self.generator, self.x.dtype)
         for member in ensemble.members:
             adam = torch.optim.Adam(member.parameters(), lr=RATE)
             for x, y in self._batches(o.proxy_epochs):
@@ -318,9 +308,8 @@ class Round:
     @cached_property
     def prior(self) -> NoisePredictor:
         """The diffusion model of the buffer."""
-        network: NoisePredictor = self._make(
-            lambda: NoisePredictor(self.x.shape[1], self.options.width)
-        )
+        dim, width = self.x.shape[1], self.options.width
+        network = make(lambda: NoisePredictor(dim, width), self.generator, self.x.dtype)
         adam = torch.optim.Adam(network.parameters(), lr=RATE)
         for x, _ in self._batches(self.options.prior_epochs):
             _step(adam, self.diffusion.loss(network, x, self.generator))
@@ -394,9 +383,6 @@ class Round:
                 x = self.x[chosen]
                 yield x + JITTER * draw_normal(x, self.generator), self.y[chosen]
 
-    def _make(self, build: Any) -> Any:
-        return make(build, self.generator, self.x.dtype, self.x.device)
-
 
 def trajectory_balance(log_z: Tensor, ratio: Tensor, reward: Tensor, alpha: float) -> Tensor:
     """Mean of 1/2 (log Z + alpha (log p_post - log p_prior) - r)^2 over chains (n,)."""
@@ -466,8 +452,8 @@ class DiBO(Baseline):
                 X[0] = 0.5
             return X
         if self._waiting is None:
-            with self._timed("train"):
-                self._waiting = self._proposals(self.popsize, self._propose)
+            with timed(self.times, "train"):
+                self._waiting = self._propose()
         return self._waiting
 
     def _update(self, X: Float64, losses: Float64, features: Float32 | None) -> None:
@@ -497,11 +483,6 @@ class DiBO(Baseline):
     def _default_popsize(self) -> int:
         return 50
 
-    def _own_settings(self) -> dict[str, Any]:
-        return {**super()._own_settings(), **asdict(self.round_options)}
-
-    def _network_state(self) -> Any:
-        return self._generator.get_state()
-
-    def _load_network_state(self, state: Any) -> None:
-        self._generator.set_state(torch.as_tensor(state, dtype=torch.uint8))
+    def settings(self) -> dict[str, Any]:
+        """Arguments of the constructor, by name, but for `loss` and `device`."""
+        return {**super().settings(), **asdict(self.round_options)}

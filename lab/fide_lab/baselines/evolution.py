@@ -114,8 +114,9 @@ class CMA(Baseline):
     def _smallest_popsize(self) -> int:
         return 3
 
-    def _own_settings(self) -> dict[str, Any]:
-        return {"restarts": self.restarts, "popsize": self._first_popsize}
+    def settings(self) -> dict[str, Any]:
+        """Arguments of the constructor, by name, but for `loss` and `device`."""
+        return {**super().settings(), "restarts": self.restarts, "popsize": self._first_popsize}
 
 
 def _finite(losses: Float64) -> Float64:

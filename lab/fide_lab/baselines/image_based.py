@@ -15,13 +15,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fide_lab.baselines.base import ImageBased, Proposals
+from fide_lab.baselines.base import ImageBased
 from fide_lab.baselines.libraries import Search, Sequential, anneal, descent
 from fide_plugins.denoiser import Denoise, Network
 from fide_plugins.denoiser.training import standard_normal
 from fide_plugins.errors import OptionError
 from fide_plugins.proposers.diffusion import DiffusionProposer
-from fide_plugins.runtime.schema import GENERATOR, Schema, anything, array, check, maybe, row
+from fide_plugins.runtime.machine import timed
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.options import positive, positive_fraction
 from fide_plugins.validation.points import whole_number
@@ -53,7 +53,7 @@ class PosteriorSampler:
             dim,
             seed=int(for_proposer.generate_state(1)[0]),
             objective=WhitenedLoss(),
-            precondition=_whiten_box,
+            precondition=partial(whitened, mean=0.5, std=BOX_STD),
             **options,
         )
         self._mean, self._std = np.full(dim, 0.5), np.full(dim, BOX_STD)
@@ -98,24 +98,6 @@ class PosteriorSampler:
         one_step: Float64 = self._solve(n, target_tokens, (LARGEST,)).mean(axis=0)
         return one_step
 
-    def state_dict(self) -> dict[str, Any]:
-        """Everything that training and sampling change."""
-        return {
-            "proposer": self.proposer.state_dict(),
-            "scale": None if self._scale is None else list(self._scale),
-            "rng": self._rng.bit_generator.state,
-        }
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Put back what `state_dict` gave; numpy arrays serve as tensors; ValueError if none."""
-        check(state, _SCHEMA, {})
-        self.proposer.load_state_dict(state["proposer"])
-        self._scale = None  # that of a state before training
-        if state["scale"] is not None:
-            mean, spread = (torch.as_tensor(part) for part in state["scale"])
-            self._scale = mean, spread
-        self._rng.bit_generator.state = state["rng"]
-
     def _solve(self, n: int, target_tokens: Tensor, schedule: tuple[float, ...]) -> Float64:
         noise = self._rng.standard_normal((n, self.proposer.dim))
         z = self._mean + schedule[0] * self._std * noise
@@ -128,13 +110,6 @@ class PosteriorSampler:
             return tokens
         mean, spread = self._scale
         return (tokens - mean) / spread
-
-
-_SCHEMA: Schema = {
-    "proposer": anything,  # checks its own
-    "scale": maybe(row(array("C"), array("C"))),
-    "rng": GENERATOR,
-}
 
 
 class WhitenedLoss:
@@ -177,10 +152,6 @@ def whitened(network: Network, mean: Tensor | float, std: Tensor | float) -> Den
     return denoise
 
 
-def _whiten_box(network: Network) -> Denoise:
-    return whitened(network, 0.5, BOX_STD)
-
-
 class Inverse(ImageBased):
     """Samples of the posterior; options of `ImageBased` and `Baseline`; `sigma0` is not used.
 
@@ -190,12 +161,13 @@ class Inverse(ImageBased):
     epochs: passes over them; the last quarter has a smaller learning rate.
     batch_size, width, blocks: of the training and the network, see `denoiser`.
 
-    The features of all uniform points are kept in memory until the training.
+    The features of all uniform points are kept in memory until the training.  It cannot be resumed.
 
     Raises OptionError, and ImageError without a target (ValueErrors).
     """
 
     name: ClassVar[str] = "inverse"
+    resumable = False
     own_options = ("budget", "share", "epochs", "batch_size", "width", "blocks")
 
     def __init__(
@@ -221,44 +193,27 @@ class Inverse(ImageBased):
             self.dim, seed=self.seed, batch_size=batch_size, width=width, blocks=blocks
         )
         self._trained = False
-        self._x: list[Float64] = []  # uniform points so far
-        self._tokens_seen: list[Float32] = []  # features of their images
-
-    @property
-    def training_points(self) -> int:
-        """Number of uniform points on which it trains."""
-        return max(1, round(self.share * self.budget))
+        self._seen: list[tuple[Float64, Float32]] = []  # uniform points, features of their images
 
     def _sample(self) -> Float64:
         if self._trained:
-            return self._proposals(self.popsize, self._proposed)
+            return self._posterior.sample(self.popsize, self.target_tokens)
         return self._rng.random((self.popsize, self.dim))  # ~ U(0, 1)
 
-    def _proposed(self) -> Float64:
-        return self._posterior.sample(self.popsize, self.target_tokens)
-
     def _update(self, X: Float64, losses: Float64, features: Float32 | None) -> None:
-        if not self._trained:
-            self._x.extend(X)
-            self._tokens_seen.extend([] if features is None else features)
-            if len(self._x) < self.training_points:
-                return
-            if not self._proposals.replays:
-                with self._timed("train"):
-                    tokens = self.tokens_of(np.array(self._tokens_seen))
-                    self._posterior.fit(np.array(self._x), tokens, self.epochs)
-            self._trained, self._x, self._tokens_seen = True, [], []
+        if self._trained:
+            return
+        assert features is not None
+        self._seen.extend(zip(X, features, strict=True))
+        if len(self._seen) >= max(1, round(self.share * self.budget)):
+            with timed(self.times, "train"):
+                x, seen = map(np.array, zip(*self._seen, strict=True))
+                self._posterior.fit(x, self.tokens_of(seen), self.epochs)
+            self._trained, self._seen = True, []
             self._population.forget_pending()
-        self._forget_features()
 
     def _default_popsize(self) -> int:
         return 100
-
-    def _network_state(self) -> Any:
-        return self._posterior.state_dict()
-
-    def _load_network_state(self, state: Any) -> None:
-        self._posterior.load_state_dict(state)
 
 
 COLLAPSED = 1e-4  # mean standard deviation of an ensemble that is given up
@@ -272,13 +227,11 @@ class EKI(ImageBased):
     X, E the deviations from the means over sqrt(k - 1), every generation is (Iglesias, Law and
     Stuart 2013)
 
-        x_i += C_xe (C_ee + Gamma)^-1 (e* + eta_i - e_i),   eta_i ~ N(0, Gamma), Gamma = gamma I,
+        x_i += C_xe (C_ee + Gamma)^-1 (e* + eta_i - e_i),   eta_i ~ N(0, Gamma), Gamma = gamma I.
 
-    in the k dimensions of the ensemble: C_xe (C_ee + Gamma)^-1 = X^T (E E^T + gamma I)^-1 E.
     Images have no noise of their own, so Gamma regularizes a step; it is annealed by the data
-    misfit controller of Iglesias and Yang (2021, arXiv:2006.14061), without their bound of it.
-    Values that leave the box are put on its border.  The ensemble stays in its own span and
-    collapses there: then another one starts around a random point.
+    misfit controller of Iglesias and Yang (2021, arXiv:2006.14061).  Values that leave the box are
+    put on its border.  Where an ensemble collapses another one starts around a random point.
 
     popsize: k, members of the ensemble, at least 2; None: 100, or 2 d if that is more.
     channels: of the tokens of the encoder; by default the mean colors of 14 x 14 patches.
@@ -303,41 +256,35 @@ class EKI(ImageBased):
         super().__init__(dim, target, channels=channels, **options)
         self._rng = np.random.default_rng(self.seed)
         self.starts = 0  # ensembles begun so far
-        self._ended: tuple[float, Float64] | None = None  # as `_present`, the best that is over
+        self._ended: tuple[float, Float64] | None = None  # loss and mean, the best
         self._start()
-        self._proposals.made.clear()  # these are drawn again in a replay
 
     def recommend(self) -> Float64:
         """Mean (dim,) of the ensemble that found the lowest loss, at its end or now."""
-        _, mean = self._best_ensemble()
-        return mean.copy()
-
-    def _present(self) -> tuple[float, Float64]:
-        """Lowest loss of the present ensemble, +inf before it has one, and its mean (dim,)."""
-        return self._lowest, self._members.mean(axis=0)
+        return self._best_ensemble()[1].copy()
 
     def _best_ensemble(self) -> tuple[float, Float64]:
-        """As `_present`, of the present ensemble or of one that is over."""
-        present = self._present()
+        """Lowest loss, +inf before there is one, and mean, of this or of an ensemble that ended."""
+        present = self._lowest, self._members.mean(axis=0)
         return present if self._ended is None else min(present, self._ended, key=lambda e: e[0])
 
     def _start(self) -> None:
-        self._members = self._proposals(self.popsize, self._drawn)
-        self._lowest, self._stalled = np.inf, 0
-        self.starts += 1
-
-    def _drawn(self) -> Float64:
         center = np.full(self.dim, 0.5) if self.starts == 0 else self._rng.random(self.dim)
         noise = self._rng.standard_normal((self.popsize, self.dim))
-        return np.clip(center + self.sigma0 * noise, 0.0, 1.0)
+        self._members = np.clip(center + self.sigma0 * noise, 0.0, 1.0)
+        self._lowest, self._stalled = np.inf, 0
+        self.starts += 1
 
     def _sample(self) -> Float64:
         return self._members
 
     def _update(self, X: Float64, losses: Float64, features: Float32 | None) -> None:
+        assert features is not None
         self._population.forget_pending()  # a member is evaluated once
-        self._members = self._proposals(len(X), lambda: self._moved(X, features))
-        self._forget_features()
+        e = features.astype(np.float64)
+        misfit = self.target_features.astype(np.float64) - features  # (k, f)
+        moved = kalman_update(X, e, misfit, annealed(misfit), self._rng)
+        self._members = np.clip(moved, 0.0, 1.0)
         self._stalled = 0 if losses.min() < self._lowest else self._stalled + 1
         self._lowest = min(self._lowest, float(losses.min()))
         if self._members.std(axis=0).mean() < COLLAPSED or self._stalled >= self.patience:
@@ -345,23 +292,11 @@ class EKI(ImageBased):
                 self._ended = self._best_ensemble()
             self._start()
 
-    def _moved(self, X: Float64, features: Float32 | None) -> Float64:
-        assert features is not None
-        e = features.astype(np.float64)
-        misfit = self.target_features.astype(np.float64) - features  # (k, f)
-        return np.clip(kalman_update(X, e, misfit, annealed(misfit), self._rng), 0.0, 1.0)
-
     def _default_popsize(self) -> int:
         return max(100, 2 * self.dim)
 
     def _smallest_popsize(self) -> int:
         return 2
-
-    def _network_state(self) -> Any:
-        return self._rng.bit_generator.state
-
-    def _load_network_state(self, state: Any) -> None:
-        self._rng.bit_generator.state = state
 
 
 def annealed(misfit: Float64) -> float:
@@ -398,34 +333,30 @@ LEAST_NOISE_STD = 1e-8
 class Visits:
     """State shared by the annealing's thread and the optimizer; it refers to neither."""
 
-    def __init__(
-        self, proposals: Proposals, denoise: Callable[[Float64, Float64], Float64]
-    ) -> None:
-        self.proposals, self.denoise = proposals, denoise
+    def __init__(self, denoise: Callable[[Float64, Float64], Float64]) -> None:
+        self.denoise = denoise
         self.std: Float64 | None = None  # noise model, (d,); None before the first training
         self.count = 0
+        self.made: list[Float64] = []  # points that were denoised
         self.descending = False  # whether the local search is at work
 
     def replace(self, x: Float64) -> None:
         """Denoise every second of the points x (d,) that are visited, in place."""
         self.count += 1
-        std = self.std
-        if std is not None and self.count % 2 == 0:
-            x[:] = self.proposals(1, lambda: self.denoise(x, std)[None])[0]
+        if self.std is not None and self.count % 2 == 0:
+            x[:] = self.denoise(x, self.std)
+            self.made.append(x.copy())
 
 
 class FIDEAnnealing(ImageBased, Sequential):
     """Dual annealing, half of whose points are denoised towards the target (supplement S4).
 
     Of the points that SciPy's annealing visits every second one is denoised before it is rendered;
-    the annealing accepts or rejects the point that was rendered.  Points of both kinds are
-    collected, and whenever there are k of them the denoiser is trained on their images; their
-    standard deviations are then its noise model.  The local search stays SciPy's.  Readings where
-    the supplement is silent: nothing is denoised before the first training; evaluations of the
-    local search are not collected; each k points are used for one training.
-
-    SciPy calls the function with the very array that it keeps when the point is accepted, so the
-    function writes the denoised point there.  A test holds SciPy to that.
+    the annealing accepts or rejects the point that was rendered.  Whenever there are k points of
+    both kinds the denoiser is trained on their images, and their standard deviations are its noise
+    model.  The local search stays SciPy's, and is not collected.  It cannot be resumed.  SciPy
+    calls the function with the very array that it keeps when the point is accepted, so the function
+    writes the denoised point there.
 
     samples: k, points before each training; 500 in the paper.
     epochs: of a training.
@@ -439,6 +370,7 @@ class FIDEAnnealing(ImageBased, Sequential):
     """
 
     name: ClassVar[str] = "fide-annealing"
+    resumable = False
     own_options = ("samples", "epochs", "step")
 
     def __init__(
@@ -460,38 +392,26 @@ class FIDEAnnealing(ImageBased, Sequential):
         from fide_plugins.proposers.diffusion import DiffusionProposer
 
         self._proposer = DiffusionProposer(self.dim, seed=self.seed, epochs=self.epochs)
-        self._visits = Visits(
-            self._proposals, partial(_denoise, self._proposer, self.target_tokens)
-        )
-        self._x: list[Float64] = []  # collected since the last training
-        self._seen: list[Float32] = []  # features of their images
+        self._visits = Visits(partial(_denoise, self._proposer, self.target_tokens))
+        self._seen: list[
+            tuple[Float64, Float32]
+        ] = []  # points and features since the last training
 
     def _search(self) -> Search:
         x0 = np.full(self.dim, 0.5) if self.starts == 0 else self._rng.random(self.dim)
         return partial(_anneal, visits=self._visits, x0=x0, rng=self._rng, step=self.step)
 
     def _update(self, X: Float64, losses: Float64, features: Float32 | None) -> None:
+        assert features is not None
         if not self._visits.descending:
-            self._x.append(X[0])
-            self._seen.extend([] if features is None else features)
-        if len(self._x) == self.samples:
-            self._train(np.array(self._x))
-            self._x, self._seen = [], []
-            self._forget_features()
+            self._seen.append((X[0], features[0]))
+        if len(self._seen) == self.samples:
+            points, seen = map(np.array, zip(*self._seen, strict=True))
+            self._seen = []
+            std = self._visits.std = np.maximum(points.std(axis=0), LEAST_NOISE_STD)
+            with timed(self.times, "train"):
+                self._proposer.update(points, self.tokens_of(seen), None, std)
         super()._update(X, losses, features)
-
-    def _train(self, points: Float64) -> None:
-        self._visits.std = np.maximum(points.std(axis=0), LEAST_NOISE_STD)
-        if not self._proposals.replays:
-            with self._timed("train"):
-                tokens = self.tokens_of(np.array(self._seen))
-                self._proposer.update(points, tokens, None, self._visits.std)
-
-    def _network_state(self) -> Any:
-        return self._proposer.state_dict()
-
-    def _load_network_state(self, state: Any) -> None:
-        self._proposer.load_state_dict(state)
 
 
 def _anneal(

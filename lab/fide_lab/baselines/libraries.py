@@ -62,6 +62,12 @@ class _Channel:
         else:
             self.points.put(None)
 
+    def cancel(self, thread: threading.Thread) -> None:
+        """End the search and its thread."""
+        self.answers.put(_Cancelled())
+        if thread is not threading.current_thread():
+            thread.join()
+
 
 class ReverseCommunication:
     """A search that waits at each point for its value.
@@ -73,9 +79,9 @@ class ReverseCommunication:
     def __init__(
         self, search: Search, around: Callable[[], AbstractContextManager[Any]] = nullcontext
     ) -> None:
-        self._search, self._around = search, around
-        self._channel = _Channel()
-        self._thread: threading.Thread | None = None
+        self._around, self._channel = around, _Channel()
+        work = self._channel.work
+        self._thread = threading.Thread(target=work, args=(search,), daemon=True)
         self._end: weakref.finalize[..., Any] | None = None
         self._point: Float64 | None = None
         self._running = False  # whether the search works; still so after Ctrl-C in the meantime
@@ -87,10 +93,8 @@ class ReverseCommunication:
 
         Raises whatever the search raised.
         """
-        if self._thread is None:
-            work = self._channel.work
-            self._thread = threading.Thread(target=work, args=(self._search,), daemon=True)
-            self._end = weakref.finalize(self, _cancel, self._channel, self._thread)
+        if self._end is None:
+            self._end = weakref.finalize(self, self._channel.cancel, self._thread)
             self._go_on(self._thread.start)
         if self._running:  # Ctrl-C came while it was waited for
             with self._around():
@@ -99,17 +103,10 @@ class ReverseCommunication:
 
     def answer(self, value: Any) -> None:
         """Give the value at the point, and let the search go on to its next one."""
-        self._go_on(lambda: self._channel.answers.put(value))
-
-    def close(self) -> None:
-        """End the search and its thread; there is no further point."""
-        if self._end is not None:
-            self._end()
-        self._point, self.over = None, True
+        if not self.over:
+            self._go_on(lambda: self._channel.answers.put(value))
 
     def _go_on(self, start: Callable[[], None]) -> None:
-        if self.over:
-            return
         with self._around():
             self._running = True
             start()
@@ -124,19 +121,11 @@ class ReverseCommunication:
             raise point
 
 
-def _cancel(channel: _Channel, thread: threading.Thread) -> None:
-    channel.answers.put(_Cancelled())
-    if thread is not threading.current_thread():
-        thread.join()
-
-
 class Sequential(Baseline):
     """A library's search in a thread of its own, one evaluation at a time: its population is 1.
 
     When a search is over, the next one begins.  If more is asked before the results are told, the
-    same point is given again.  Only its first result is used; the others are counted.  Another
-    popsize, which may be meant for all optimizers of a comparison, has no effect, and gets a
-    warning.
+    same point is given again; only its first result is used.
     """
 
     def __init__(self, dim: int, target: object = None, **options: Any) -> None:
@@ -149,15 +138,12 @@ class Sequential(Baseline):
             self.popsize = 1
         self.starts = 0  # searches begun so far
         self._penalty = Penalty()
+        self._global_random = GlobalRandom(self.seed)
         self._library: ReverseCommunication | None = None
 
     def _search(self) -> Search:
         """The next search, of which `starts` were begun before; it must not refer to self."""
         raise NotImplementedError
-
-    def _surroundings(self) -> Callable[[], AbstractContextManager[None]]:
-        """What to enter whenever the search goes on; like it, it must not refer to self."""
-        return quietly
 
     def _answer(self, loss: float, features: Float32 | None) -> Any:
         """What the library's function returns."""
@@ -167,7 +153,7 @@ class Sequential(Baseline):
         """Point (1, dim) whose value the search waits for; begins a search if there is none."""
         for _ in range(2):  # a search that is over is followed by another, which has a point
             if self._library is None or self._library.over:
-                self._library = ReverseCommunication(self._search(), self._surroundings())
+                self._library = ReverseCommunication(self._search(), self._global_random.lent)
                 self.starts += 1
             point = self._library.point()
             if point is not None:
@@ -193,23 +179,21 @@ class GlobalRandom:
         self._numpy = np.random.RandomState(bits).get_state()
 
     @contextmanager
-    def lent(self) -> Iterator[None]:
-        """The library may draw; afterwards the user's own states are as they were."""
+    def lent(self, silent: bool = True) -> Iterator[None]:
+        """The library may draw; afterwards the user's own states are as they were.
+
+        silent: whether its warnings are dropped.
+        """
         users = random.getstate(), np.random.get_state()
         random.setstate(self._python)
         np.random.set_state(self._numpy)
         try:
-            yield
+            with quietly() if silent else nullcontext():
+                yield
         finally:
             self._python, self._numpy = random.getstate(), np.random.get_state()
             random.setstate(users[0])
             np.random.set_state(users[1])
-
-    @contextmanager
-    def lent_quietly(self) -> Iterator[None]:
-        """The same, without the library's warnings."""
-        with self.lent(), quietly():
-            yield
 
 
 class DualAnnealing(Sequential):
@@ -217,15 +201,12 @@ class DualAnnealing(Sequential):
 
     Generalized simulated annealing (Tsallis and Stariolo 1996), which descends from its best points
     by L-BFGS-B; each evaluation of its finite differences counts.  Where SciPy would return,
-    another search starts from a random point.  SciPy's differences are 1e-8 long: an image of
-    32-bit numbers does not change by so little, so most evaluations for gradients are wasted.  With
-    `step` of 0.001 the same search is much stronger; `lab/reports/baselines.md` has both.
+    another search starts from a random point.
 
-    step: of the finite differences; None: SciPy's own, 1e-8.
+    step: of the finite differences; None: SciPy's own, 1e-8, by which an image of 32-bit numbers
+        does not change.  `lab/reports/baselines.md` has both.
 
-    Without a step the points are those that SciPy evaluates with ``x0=np.full(dim, 0.5)`` and
-    ``rng=np.random.default_rng(seed)``.  `sigma0` is not used; popsize is 1, and another one has
-    no effect but a warning.
+    `sigma0` is not used; popsize is 1, and another one has no effect but a warning.
 
     Raises OptionError (a ValueError).
     """
@@ -270,29 +251,23 @@ LONGEST = 100_000  # evaluations of one search; DFO-LS makes a list of that leng
 
 
 class DFOLS(ImageBased, Sequential):
-    """Least squares by DFO-LS from near the center of the box; at its end again, from elsewhere.
+    """Least squares by DFO-LS from near the center of the box, then from random points.
 
     Cartis, Fiala, Marteau and Roberts (2019) fit a linear model of the residual vector, here the
     features of an image minus those of the target, within a trust region (Gauss-Newton without
-    derivatives).  It needs dim + 1 renders to begin and then one at a time.  The authors' package
-    is under the GPL and therefore an optional extra: pip install DFO-LS.
+    derivatives).  It is told that the function is noisy, because an image changes in steps where an
+    edge passes a pixel: its radius shrinks slowly, and it restarts by itself.
 
-    sigma0: standard deviation of the first start around the center.  The center itself can be a
-        point of symmetry: with all cells of a Voronoi picture on top of each other, moving one
-        changes nothing, and the linear model is blind.  Later starts are uniform in the box.
+    sigma0: standard deviation of the first start around the center, which can be a point of
+        symmetry where the linear model is blind.
     channels: of the tokens of the encoder; by default the mean colors of 14 x 14 patches.
     radius: of the first trust region, at most 0.5.
 
-    DFO-LS is told that the function is noisy, which makes its radius shrink slowly, because an
-    image changes in steps where an edge passes a pixel; a search that has converged goes on by its
-    own restarts, from its best point with a new radius, before it begins elsewhere.
-
-    Residuals are divided by the root of their number, so the sum of their squares is a mean.  The
-    search does not use the loss, which only decides which point is `best`.  The other options are
-    those of `ImageBased` and `Baseline`; popsize is 1, and another one has no effect but a warning.
+    The loss only decides which point is `best`.  The other options are those of `ImageBased` and
+    `Baseline`; popsize is 1, and another one has no effect but a warning.
 
     Raises OptionError, ImageError without a target (ValueErrors), and DependencyError (an
-    ImportError) without DFO-LS.
+    ImportError) without DFO-LS, which is under the GPL: pip install DFO-LS.
     """
 
     name: ClassVar[str] = "dfols"
@@ -316,7 +291,6 @@ class DFOLS(ImageBased, Sequential):
             raise missing("dfols", "dfols needs the package DFO-LS") from error
         self.radius = float(radius)
         self._rng = np.random.default_rng(self.seed)
-        self._global_random = GlobalRandom(self.seed)
 
     def _search(self) -> Search:
         if self.starts == 0:
@@ -330,9 +304,6 @@ class DFOLS(ImageBased, Sequential):
         wrong = features.astype(np.float64) - self.target_features
         residuals: Float64 = wrong / np.sqrt(len(wrong))
         return residuals
-
-    def _surroundings(self) -> Callable[[], AbstractContextManager[None]]:
-        return self._global_random.lent_quietly
 
 
 def least_squares(function: Any, x0: Float64, radius: float) -> None:
@@ -402,7 +373,7 @@ class Framework(Baseline):
     @contextmanager
     def _guarded(self) -> Iterator[None]:
         """While the framework is at work; what it raises is said to be its own."""
-        with self._global_random.lent(), quietly():
+        with self._global_random.lent():
             try:
                 yield
             except Exception as error:

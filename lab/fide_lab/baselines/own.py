@@ -5,14 +5,13 @@
         def ask(self, n): ...                       # (n, dim) in [0, 1]
         def tell(self, X, losses): ...              # or tell(self, X, images, losses)
 
-The other parameters of the constructor are its options, as of ``--set``; any, if it has
-``**options``.  Two more attributes are optional: `popsize`, the n that it is asked for, by default
-4 + 3 ln dim; and `recommend()`, a point (dim,), by default the best.
+The other parameters of the constructor are its options.  Two more attributes are optional:
+`popsize`, the n that it is asked for, by default 4 + 3 ln dim; and `recommend()`, a point (dim,),
+by default the best, which is tried once after the first generation.
 
-`tell` gets the points (n, dim) of one `ask`, all of them, as they were asked; the images (n, H, W,
-3), float32 in [0, 1]; and the losses (n,), infinite where a loss was NaN.  A generation that the
-budget cuts short is not told.  `recommend` is tried once after the first generation, so that a
-wrong one does not cost the budget.  NumPy's and Python's global generators are seeded for it.
+`tell` gets all points (n, dim) of one `ask`, as they were asked; the images (n, H, W, 3), float32
+in [0, 1]; and the losses (n,), infinite where a loss was NaN.  A generation that the budget cuts
+short is not told.  NumPy's and Python's global generators are seeded for it.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ import numpy as np
 
 from fide_lab.baselines.base import Baseline, needed_images
 from fide_lab.baselines.libraries import GlobalRandom
-from fide_plugins.errors import CheckpointError, OptionError, PointsError
+from fide_plugins.errors import OptionError, PointsError
 from fide_plugins.runtime.registry import Referent, module_fingerprint, shown_traceback
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.points import as_points, whole_number
@@ -35,9 +34,7 @@ __all__ = ["Own", "own"]
 
 _REFERENT = Referent(
     "optimizer",
-    "class",
     "a class with ask and tell",
-    "classes",
     "write FILE.py:NAME or module:NAME, such as mine.py:Search; nevergrad:NAME, optuna:NAME; or a "
     "name of: fide list optimizers",
 )
@@ -47,19 +44,15 @@ _GIVEN = ("dim", "target", "seed", "budget")  # arguments of the constructor
 class Own(Baseline):
     """A user's optimizer with all that a baseline has; `own` makes the class.
 
-    budget: evaluations that are planned.
-    options: of the user's constructor.
-
-    One that takes images cannot be resumed, since a checkpoint does not hold them: loading raises
-    CheckpointError (a ValueError), as it does if the replay asks for other candidates.
-
+    budget: evaluations that are planned.  options: of the user's constructor.
     source: fingerprint of the file that `made_by`, the user's class, was loaded from.
+
+    One that takes images cannot be resumed, since a checkpoint does not hold them.
 
     Raises OptionError (a ValueError), with the traceback, if the constructor raises an exception,
     or if what it makes breaks the protocol.
     """
 
-    keeps_features: ClassVar[bool] = False
     made_by: ClassVar[Callable[..., Any]]
     source: ClassVar[str | None] = None
 
@@ -79,40 +72,29 @@ class Own(Baseline):
         taken = inspect.signature(self.made_by).parameters
         given = {name: getattr(self, name) for name in _GIVEN if name in taken}
         self._global_random = GlobalRandom(self.seed)
-        self._user = self._made({**given, **options})
-        _check_methods(self.name, self._user)
-        self.popsize = whole_number("popsize", getattr(self._user, "popsize", self.popsize), 1)
-        names = list(inspect.signature(self._user.tell).parameters)
-        self._images_at = names.index("images") if "images" in names else None
-        self._recommends, self._tried = callable(getattr(self._user, "recommend", None)), False
-
-    def _made(self, arguments: dict[str, Any]) -> Any:
-        """What the user's constructor makes."""
         try:
-            with self._global_random.lent():
-                return self.made_by(**arguments)
+            with self._global_random.lent(silent=False):
+                self._user: Any = self.made_by(**given, **options)
         except Exception as error:
             raise OptionError(
                 f"{self.name} cannot be made; mend this error in it:\n"
                 f"{shown_traceback(error, __file__)}"
             ) from None  # the message has its traceback
+        _check_methods(self.name, self._user)
+        self.popsize = whole_number("popsize", getattr(self._user, "popsize", self.popsize), 1)
+        names = list(inspect.signature(self._user.tell).parameters)
+        self._images_at = names.index("images") if "images" in names else None
+        self.resumable = self._images_at is None
+        self._recommends, self._tried = callable(getattr(self._user, "recommend", None)), False
 
     @contextmanager
     def _called(self) -> Iterator[None]:
-        """Around calls of the user's methods.
-
-        An OSError of theirs would be taken for one of the run directory, which needs no traceback.
-        """
+        """Around the user's methods; an OSError would be taken for one of the run directory."""
         try:
-            with self._global_random.lent():
+            with self._global_random.lent(silent=False):
                 yield
         except OSError as error:
             raise RuntimeError(f"{self.name} raised {error!r}") from error
-
-    @property
-    def resumable(self) -> bool:
-        """Whether what is saved can be loaded: not if it takes images."""
-        return self._images_at is None
 
     @classmethod
     def option_names(cls) -> list[str]:
@@ -133,7 +115,9 @@ class Own(Baseline):
         self._tried = True
         with self._called():
             said = self._user.recommend()
-        return np.asarray(self._checked([said], 1, "recommend()", "a point")[0])
+        return np.asarray(
+            self._checked([said], 1, "recommend()", f"a point of shape ({self.dim},)")[0]
+        )
 
     def settings(self) -> dict[str, Any]:
         """Arguments of the constructor, by name, but for `loss` and `device`."""
@@ -146,19 +130,11 @@ class Own(Baseline):
         given = {k: v for k, v in settings.items() if k not in ("popsize", "options")}
         return {**given, **settings["options"]}
 
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on where `state_dict` was called; CheckpointError (a ValueError) if it cannot."""
-        if not self.resumable:
-            raise CheckpointError(
-                f"{self.name} learns from images, which a checkpoint does not hold, so it cannot "
-                "be resumed; run it again from the beginning, in another directory"
-            )
-        super().load_state_dict(state)
-
     def _sample(self) -> Float64:
+        n, dim = self.popsize, self.dim
         with self._called():
-            asked = self._user.ask(self.popsize)
-        return self._checked(asked, self.popsize, f"ask({self.popsize})", "candidates")
+            asked = self._user.ask(n)
+        return self._checked(asked, n, f"ask({n})", f"candidates of shape ({n}, {dim})")
 
     def _checked(self, given: Any, n: int, method: str, what: str) -> Float64:
         """Points (n, dim) that a method of the user's returned."""
@@ -167,10 +143,8 @@ class Own(Baseline):
             if len(X) != n:
                 raise PointsError(f"X has {len(X)} rows")
         except PointsError as error:
-            shape = f"({self.dim},)" if what == "a point" else f"({n}, {self.dim})"
             raise PointsError(
-                f"{method} of {self.name} must return {what} of the shape {shape} in [0, 1]: "
-                f"{error}"
+                f"{method} of {self.name} must return {what} in [0, 1]: {error}"
             ) from error
         return X
 

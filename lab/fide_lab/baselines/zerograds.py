@@ -1,23 +1,15 @@
 """ZeroGrads (Fischer and Ritschel 2024): gradients of a small network that imitates the loss.
 
 Each step evaluates points around the present parameter, improves the parameter by the gradient of
-the network, and then the network by what the points have shown; nothing is remembered of earlier
-steps.  As published, in the setting for few parameters: three hidden layers of 64 units with leaky
-ReLUs, the last layer's output included; every offset is used with both signs; points are shifted
-once more before they are rendered, by a tenth of sigma, which smooths the loss that is learned;
+the network, and then the network by what the points have shown.  As published, for few parameters:
+three hidden layers of 64 units with leaky ReLUs, the last layer's output included; every offset is
+used with both signs; points are shifted once more before they are rendered, by a tenth of sigma;
 three steps of Adam for the parameter, then three for the network.
 
-Where this deviates
--------------------
-- The parameter itself is evaluated at each step, after the points around it; it is from these
-  values that the published program takes its result, and here they count: 2 batch + 1 a step.
-- Losses are divided by the mean of the first step's, so that one learning rate of the network
-  serves losses of any size.
-- The published learning rates are set by hand for each experiment (1e-3 for the network, 5e-4 for
-  the parameter of a 2-D Rosenbrock function).  The defaults here were chosen for the unit box on
-  four functions of 5 to 20 parameters, in races with the published program.
-- Points and the parameter are kept in the box.  The published program may leave it, which helps it
-  where the loss outside says more (Ackley's function in those races).
+It deviates where the parameter itself is evaluated at each step, which counts here: 2 batch + 1
+renders; where losses are divided by the mean of the first step's; where points and the parameter
+are kept in the box; and in the learning rates, which were chosen for the unit box on four functions
+of 5 to 20 parameters, in races with the published program.
 """
 
 from __future__ import annotations
@@ -33,6 +25,7 @@ from torch import Tensor, nn
 
 from fide_lab.baselines.base import Baseline
 from fide_plugins.errors import OptionError
+from fide_plugins.runtime.machine import timed
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.options import positive
 from fide_plugins.validation.points import whole_number
@@ -44,7 +37,6 @@ def make(
     build: Callable[[], M],
     generator: torch.Generator,
     dtype: torch.dtype = torch.float32,
-    device: torch.device | str = "cpu",
 ) -> M:
     """Module that `build` describes, of linear layers and layer norms, with PyTorch's usual law.
 
@@ -61,7 +53,7 @@ def make(
                 part.bias.uniform_(-bound, bound, generator=generator)
             elif isinstance(part, nn.LayerNorm):
                 part.reset_parameters()
-    return module.to(device, dtype)
+    return module.to(dtype)
 
 
 BATCH = 10  # offsets a step
@@ -162,7 +154,7 @@ class ZeroGrads(Baseline):
         learned = [x.tobytes() in self._unshifted for x in X] & np.isfinite(losses)
         points = [self._unshifted[x.tobytes()] for x in X[learned]]
         self._unshifted.clear()
-        with self._timed("train"):
+        with timed(self.times, "train"):
             self._improve_parameter()
             if points:
                 self._improve_proxy(np.array(points), losses[learned])

@@ -80,11 +80,13 @@ def options_of(args: argparse.Namespace) -> dict[str, Any]:
 
     `args.size` is None where no --size is given.
     """
+    from fide_plugins.runtime.registry import is_reference
     from fide_plugins.validation.options import seconds_of
 
     if args.timeout is not None and args.template is None:
         raise OptionError("--timeout is of --command; leave it out")
-    built_in = _built_in(args)
+    named = args.tasks if "tasks" in args else [args.task]
+    built_in = [] if args.template is not None else [t for t in named if not is_reference(t)]
     if args.target is not None and built_in:
         raise OptionError(
             f"--target is for a renderer of your own, and {built_in[0]} makes its own target; "
@@ -98,14 +100,6 @@ def options_of(args: argparse.Namespace) -> dict[str, Any]:
     if args.timeout is not None:
         given["timeout"] = seconds_of("timeout", args.timeout)
     return {name: value for name, value in given.items() if value is not None}
-
-
-def _built_in(args: argparse.Namespace) -> list[str]:
-    """Tasks that are no renderers of the user."""
-    from fide_plugins.runtime.registry import is_reference
-
-    named = args.tasks if "tasks" in args else [args.task]
-    return [] if args.template is not None else [task for task in named if not is_reference(task)]
 
 
 # -- `fide compare --suite NAME`: arguments that choose a part of a suite, and its plan ------------
@@ -158,12 +152,7 @@ def suite_plan(args: argparse.Namespace) -> Any:
     if not left:
         raise OptionError(f"no scene of {suite.name} is left; choose others by --scenes")
     plan = problems.plan(suite, configurations, left, targets, args.budget)
-    note(_size_of(plan))
-    return plan
-
-
-def _size_of(plan: Any) -> str:
-    """How many runs there are, so that nobody starts a week's work for an evening's."""
     runs = len(list(plan.runs()))
     each = f"{counted(runs, 'run')} of {plan.budget} renders{' each' * (runs != 1)}"
-    return f"{plan.suite.name}: {each} (--scenes, --targets and --budget choose a part)"
+    note(f"{suite.name}: {each} (--scenes, --targets and --budget choose a part)")
+    return plan

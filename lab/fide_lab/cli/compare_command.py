@@ -66,12 +66,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
-    return execute_comparisons(
-        args,
-        command,
-        lambda: _prepare(args, command),
-        lambda comparison: max(_execute(comparison), _report(args)),
-    )
+
+    def run(comparison: Any) -> int:
+        from fide_lab.cli import report_command
+
+        threshold = dict(args.threshold)
+        return max(
+            _execute(comparison), report_command.make(args.out, None, threshold, "fide compare")
+        )
+
+    return execute_comparisons(args, command, lambda: _prepare(args, command), run)
 
 
 def _prepare(args: argparse.Namespace, command: list[str]) -> Any:
@@ -84,7 +88,7 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> Any:
         check_no_suite(args)
         plan = _plan(args)
         if args.threshold:
-            from fide_lab.report.panel import check_thresholds
+            from fide_lab.report.page import check_thresholds
 
             check_thresholds(dict(args.threshold), plan.runs())
     return prepare(
@@ -95,10 +99,12 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> Any:
 def _plan(args: argparse.Namespace) -> Any:
     from fide_lab.compare import Configuration, Plan
 
+    if args.template is None and not args.tasks:
+        raise OptionError("name a TASK, or give --command or --suite; see: fide compare --help")
     losses = args.losses or ["mse"]
     metrics = args.metrics or list(dict.fromkeys([*losses, *_METRICS]))
     return Plan(
-        _tasks(args),
+        tuple(args.tasks) if args.template is None else (task_of(args),),
         tuple(Configuration.parse(text) for text in args.optimizers),
         tuple(losses),
         args.seeds or _SEEDS,
@@ -111,31 +117,14 @@ def _plan(args: argparse.Namespace) -> Any:
     )
 
 
-def _tasks(args: argparse.Namespace) -> tuple[str, ...]:
-    if args.template is not None:
-        return (task_of(args),)
-    if not args.tasks:
-        raise OptionError("name a TASK, or give --command or --suite; see: fide compare --help")
-    return tuple(args.tasks)
-
-
 def _execute(comparison: Any) -> int:
     """Execute the comparison with one line for each run; returns 1 if a run failed, else 0."""
     for key, state in comparison.states.items():
-        if state.kind == "damaged":
-            note(f"{key} is damaged and will be repeated: {plain(state.why)}")
-        elif state.kind == "outdated":
-            note(f"{key} will be repeated: {plain(state.why)}")
+        if state.why:
+            note(f"{key} is {state.kind} and will be repeated: {plain(state.why)}")
         elif state.kind == "started":
             note(f"{key} will be continued")
     kept = sum(state.kind == "finished" for state in comparison.states.values())
     if kept:
         note(f"{kept} of {len(comparison.states)} runs are finished")
     return execute_all(comparison)
-
-
-def _report(args: argparse.Namespace) -> int:
-    """Write the report of the finished runs; returns the exit code."""
-    from fide_lab.cli import report_command
-
-    return report_command.make(args.out, None, dict(args.threshold), "fide compare")

@@ -28,7 +28,7 @@ from fide_plugins.cli.arguments import (
     setting,
     whole,
 )
-from fide_plugins.cli.terminal import complain, note
+from fide_plugins.cli.terminal import complain
 from fide_plugins.errors import OptionError
 
 __all__ = ["add_arguments", "execute"]
@@ -61,8 +61,10 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
     except OptionError as error:
         return complain("fide run", error)
 
+    learned = {} if args.learned is None else {"learned": args.learned}
+
     def prepare() -> harness.Run:
-        run = harness.prepare(
+        return harness.prepare(
             task,
             args.optimizer,
             args.loss,
@@ -71,14 +73,11 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
             size=args.size or _SIZE,
             task_seed=args.task_seed,
             task_options=_task_options(args),
-            options=_learned(args) | optimizer_options(args),
+            options=learned | optimizer_options(args),
             out=free_directory(args, task),
             resume=args.resume,
             command=command,
         )
-        if run.advice is not None:
-            note(run.advice)
-        return run
 
     return execute_run(args, command, prepare, task)
 
@@ -87,10 +86,6 @@ def _task(args: argparse.Namespace) -> str:
     if args.template is None and args.task is None:
         raise OptionError("name a TASK, or give --command; see: fide run --help")
     return task_of(args) if args.task is None or args.template is not None else str(args.task)
-
-
-def _learned(args: argparse.Namespace) -> dict[str, Any]:
-    return {} if args.learned is None else {"learned": args.learned}
 
 
 def _task_options(args: argparse.Namespace) -> dict[str, Any]:

@@ -16,7 +16,6 @@ from fide_plugins.cli.terminal import (
     USAGE_ERRORS,
     complain,
     continuation,
-    duration,
     note,
     notices,
     number,
@@ -27,6 +26,7 @@ from fide_plugins.cli.terminal import (
 )
 from fide_plugins.errors import FideError, RenderError
 from fide_plugins.recording.parameters import lines
+from fide_plugins.runtime.messages import duration
 
 __all__ = ["execute_all", "execute_comparisons", "execute_run"]
 
@@ -71,9 +71,13 @@ def execute_run(
         return 0
 
     def stopped(run: Any) -> tuple[str, str]:
-        saved = f" after {run.progress.evaluations} renders, saved in {plain(run.out)}"
-        saved = "\n".join([saved, *_found(run)])
-        return saved, continuation(command, str(run.out)) if _resumable(run) else ""
+        saved = [f" after {run.progress.evaluations} renders, saved in {plain(run.out)}"]
+        best, space = run.record.best, getattr(run.task, "space", None)
+        if best is not None:  # its parameters in their units
+            named = best if isinstance(space, int | None) else replace(best, space=space)
+            saved += [f"best loss {number(best.loss)}"]
+            saved += [f"  {paragraph(line)}" for line in lines(named, _MOST)]
+        return "\n".join(saved), continuation(command, str(run.out)) if _resumable(run) else ""
 
     return _execute(command, prepare, execute, stopped, "the run failed")
 
@@ -106,23 +110,19 @@ def execute_all(comparison: Any) -> int:
         done += 1
         failed += outcome.kind == "failed"
         if outcome.kind != "kept":
-            note(f"[{done}/{total}] {_outcome(outcome)}")
+            remark, totals = f" ({plain(outcome.note)})" if outcome.note else "", outcome.totals
+            said = outcome.kind
+            if totals is not None:
+                said = (
+                    f"{number(totals['best_loss'])} after {totals['evaluations']} renders, "
+                    f"{duration(totals['wall_s'])}"
+                )
+            note(f"[{done}/{total}] {outcome.key}: {said}{remark}")
 
     comparison.execute(on_outcome)
     if failed:
         note(f"{failed} of {total} runs failed; error.txt in their directories has the tracebacks")
     return int(failed > 0)
-
-
-def _outcome(outcome: Any) -> str:
-    remark = f" ({plain(outcome.note)})" if outcome.note else ""
-    if outcome.totals is None:
-        return f"{outcome.key}: {outcome.kind}{remark}"
-    totals = outcome.totals
-    return (
-        f"{outcome.key}: {number(totals['best_loss'])} after {totals['evaluations']} renders, "
-        f"{duration(totals['wall_s'])}{remark}"
-    )
 
 
 def _execute(
@@ -132,11 +132,7 @@ def _execute(
     stopped: Callable[[Any], tuple[str, str]],
     failed: str,
 ) -> int:
-    """Prepare and execute; whatever goes wrong becomes messages and an exit code.
-
-    stopped: what is saved where, and the command that continues, after an interrupt; none if empty.
-    failed: begins the message where rendering or saving fails.
-    """
+    """Prepare and execute; whatever goes wrong becomes messages and an exit code."""
     from fide_lab.run import Interrupted
 
     who = f"fide {command[1]}"
@@ -166,15 +162,6 @@ def _execute(
     except (FideError, OSError) as error:
         note(f"{who}: {failed}: {paragraph(error)}")
         return 1
-
-
-def _found(run: Any) -> list[str]:
-    """Lines with the best loss so far, and its parameters in their units."""
-    best, space = run.record.best, getattr(run.task, "space", None)
-    if best is None:
-        return []
-    named = best if isinstance(space, int | None) else replace(best, space=space)
-    return [f"best loss {number(best.loss)}", *(f"  {paragraph(p)}" for p in lines(named, _MOST))]
 
 
 def _resumable(run: Any) -> bool:

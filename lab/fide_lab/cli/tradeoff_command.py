@@ -1,4 +1,4 @@
-r"""Sweep options that trade speed for accuracy, and recommend a combination for a given time.
+r"""Sweep options that trade speed for accuracy.
 
     fide tradeoff voronoi --out runs/front
     fide tradeoff voronoi spline --preset fast,balanced --popsize 15,40 --size 56 \
@@ -13,13 +13,12 @@ the same runs.
 from __future__ import annotations
 
 import argparse
-import json
 from typing import Any
 
 from fide_lab.cli.arguments import add_grid_arguments
 from fide_lab.cli.running import execute_all, execute_comparisons
 from fide_plugins.cli.arguments import names, whole
-from fide_plugins.cli.terminal import note, plain
+from fide_plugins.cli.terminal import plain
 
 __all__ = ["add_arguments", "execute"]
 
@@ -36,7 +35,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--size", type=whole(1), default=112, metavar="PX", help="side of a task's image (112)")
     add("--loss", default="mse", metavar="NAME", help="see: fide list losses (mse)")
     add_grid_arguments(parser, what="sweep", seeds=3, budget=2000)
-    add("--json", action="store_true", help="end with one line of JSON on standard output")
 
 
 def wholes(text: str) -> list[int]:
@@ -70,21 +68,8 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> Any:
 def _write(args: argparse.Namespace) -> int:
     """Write tables, figures and recommendations; returns the exit code."""
     from fide_lab import compare
-    from fide_lab.sweep import advice, combinations_of, write_tables
+    from fide_lab.sweep import combinations_of, write_tables
 
-    combinations = combinations_of(compare.read(args.out))
-    text = write_tables(args.out, combinations)
-    if not args.json:
-        print(text)
-        print(f"look at {plain(args.out)}/tradeoff.md")
-        return 0
-    note(text)
-    summary: dict[str, Any] = {}
-    for task in dict.fromkeys(each.task for each in combinations):
-        points = advice([each for each in combinations if each.task == task])
-        summary[task] = {
-            time: p and {"setting": p.combination.label, "loss": p.loss}
-            for time, p in points.items()
-        }
-    print(json.dumps(summary, allow_nan=False), flush=True)
+    print(write_tables(args.out, combinations_of(compare.read(args.out))))
+    print(f"look at {plain(args.out)}/tradeoff.md")
     return 0

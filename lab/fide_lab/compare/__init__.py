@@ -8,20 +8,11 @@
 
 `run` executes the missing runs of a plan in a directory, and `read` reads the directory back.
 The package `fide_lab.report` reports the results.
-
-================  ===============================================================
-`plan`            tasks x losses x configurations x seeds, checked before the start
-`driver`          executes the missing runs of a plan, here, in processes, by Dask
-`one_run`         state of one run's directory, and its execution
-`directory`       the directory of a comparison, and its record `study.json`
-`results`         reads a comparison back
-================  ===============================================================
 """
 
 from __future__ import annotations
 
-from fide_lab.compare.driver import run
-from fide_lab.compare.one_run import Outcome
+from fide_lab.compare.driver import Outcome, run
 from fide_lab.compare.plan import Configuration, Plan, RunKey
 from fide_lab.compare.results import Results, StoredRun, read
 

@@ -1,4 +1,4 @@
-"""The directory of a comparison.
+"""The directory of a comparison, and the state of each of its runs.
 
     study.json   record: settings; "cells", one entry for each run, with the digest of its
                  settings; calls of the command, with versions and machine
@@ -14,28 +14,74 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections import defaultdict
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from fide_lab.compare.one_run import State, examine, is_busy
 from fide_lab.compare.plan import TARGETS, Checked, Plan, RunKey, target_file
+from fide_lab.run.kept_target import write_target
+from fide_plugins.recording.directory import TABLES, results_in
 from fide_plugins.recording.figures import as_png
 from fide_plugins.recording.sources import edited, file_of, versions_there
 from fide_plugins.recording.storage import (
     FORMAT,
     RunDirectoryError,
     check_settings,
+    checksum,
     now,
     read_json,
     read_run,
-    write_target,
 )
 from fide_plugins.runtime import files, machine
-from fide_plugins.runtime.messages import warn_user
 
+ERROR = "error.txt"
+"""Traceback of a run that failed, in its directory; the next call tries it again."""
+LOCK = ".lock"
 _OLD = 3600.0  # seconds; nothing that is written here takes so long
+
+
+@dataclass(frozen=True)
+class State:
+    """State of a run's directory.
+
+    kind: "finished", as `run.json` says, and the tables have the checksums that it names;
+        "started", to be continued; "missing"; "damaged" or "outdated", to be repeated; "busy",
+        executed by another process.
+    why: what is wrong with a damaged run, or which file has changed since an outdated one.
+    """
+
+    kind: Literal["finished", "started", "missing", "damaged", "outdated", "busy"]
+    why: str = ""
+
+
+def examine(
+    folder: Path, settings: dict[str, Any], sources: Mapping[str, str] | None = None
+) -> State:
+    """State of the run in `folder`, whoever executes it.
+
+    sources: see `plan.Checked.versions`; None: as those of the run.
+    """
+    try:
+        run = read_run(folder)
+    except (RunDirectoryError, OSError) as error:
+        return State("damaged", f"{folder}: {error}")
+    if run is None:
+        left = results_in(folder)
+        return State("damaged", f"{folder / left[0]} has no run.json") if left else State("missing")
+    check_settings(run["settings"], settings, f"{folder} holds a run")
+    if run.get("state") != "finished":
+        changed = edited(versions_there(run), sources or {})
+        if changed:
+            return State("outdated", f"{file_of(changed[0])} has changed since it was begun")
+        return State("started")
+    for name in TABLES:
+        try:
+            if checksum(folder / name) != run["checksums"][name]:
+                return State("damaged", f"{folder / name} was changed or cut short")
+        except (OSError, KeyError, TypeError) as error:
+            return State("damaged", f"{folder / name} cannot be checked: {error!r}")
+    return State("finished")
 
 
 class ComparisonDirectory:
@@ -50,47 +96,41 @@ class ComparisonDirectory:
     """
 
     def __init__(
-        self,
-        path: str | os.PathLike[str],
-        plan: Plan,
-        checked: Checked,
-        *,
-        resume: bool,
+        self, path: str | os.PathLike[str], plan: Plan, checked: Checked, *, resume: bool
     ) -> None:
         self.path, self._targets = Path(path), checked.targets
-        settings = checked.settings
-        self._settings = _comparable(plan, settings)
-        self._runs = {key: digest(run) for key, run in settings.items()}
+        self._settings = _comparable(plan, checked.settings)
+        self._runs = {key: digest(run) for key, run in checked.settings.items()}
         self._call: dict[str, Any] | None = None
         before = read_record(self.path)
         if before is None:
             _check_empty(self.path)
         else:
-            self._check(before["settings"], resume)
-        sources = plan.sources() | checked.versions
-        self.states: dict[RunKey, State] = {
-            key: _state(self.path / key.folder, run, sources) for key, run in settings.items()
+            self._check(before["settings"])
+            if not resume:
+                raise RunDirectoryError(
+                    f"{self.path} already holds a comparison with these settings; continue or "
+                    "extend it (--resume), or name another directory"
+                )
+        self.states = {
+            key: self._state(key, run, checked.versions) for key, run in checked.settings.items()
         }
         there = [] if before is None else [key for key, _ in runs_of(before)]
-        check_versions(self.path, sources, there)
+        _check_versions(self.path, checked.versions, there)
         files.check_writable(self.path)
         for folder in (self.path, self.path / TARGETS):
             files.remove_leftovers(folder, age=_OLD)  # another process may be at work here
 
-    def _check(self, theirs: dict[str, Any], resume: bool) -> None:
-        mine = self._settings
-        there, here = (
-            {k: v for k, v in settings.items() if k != "targets"} for settings in (theirs, mine)
-        )
+    def _state(self, key: RunKey, run: dict[str, Any], versions: Mapping[str, str]) -> State:
+        state, lock = examine(self.path / key.folder, run, versions), self.path / key.folder / LOCK
+        return State("busy") if state.kind != "finished" and files.is_locked(lock) else state
+
+    def _check(self, theirs: dict[str, Any]) -> None:
+        there, here = ({**one, "targets": None} for one in (theirs, self._settings))
         check_settings(there, here, f"{self.path} holds a comparison")
-        for task in sorted(set(theirs["targets"]) & set(mine["targets"])):
-            there, here = ({"target": s["targets"][task]} for s in (theirs, mine))
-            check_settings(there, here, f"{self.path} holds a comparison on {task}")
-        if not resume:
-            raise RunDirectoryError(
-                f"{self.path} already holds a comparison with these settings; continue or extend "
-                "it (--resume), or name another directory"
-            )
+        for task, target in self._settings["targets"].items():
+            kept = {"target": theirs["targets"].get(task, target)}
+            check_settings(kept, {"target": target}, f"{self.path} holds a comparison on {task}")
 
     def begin(self, command: list[str], workers: dict[str, Any]) -> None:
         """Record a call of the command; workers: its processes and cores."""
@@ -105,34 +145,28 @@ class ComparisonDirectory:
 
     def _write(self, call: dict[str, Any]) -> None:
         """Write `study.json` with this call, and keep what other processes wrote meanwhile."""
-        with files.locked(self.path / ".lock", wait=True):
+        with files.locked(self.path / LOCK, wait=True):
             there = read_record(self.path)
-            if there is not None:
-                self._check(there["settings"], resume=True)
+            if there is None:
+                there = {"format": FORMAT, "settings": {"targets": {}}, "cells": [], "calls": []}
+            else:
+                self._check(there["settings"])
             if self._call is None:  # before the record names them: nobody renders the same again
-                self._keep_targets()
-            record = self._merged(there, call)
+                (self.path / TARGETS).mkdir(exist_ok=True)
+                for task, target in self._targets.items():
+                    write_target(target_file(self.path, task), target)
+            runs = dict(runs_of(there)) | self._runs
+            targets = {**there["settings"]["targets"], **self._settings["targets"]}
+            record = {
+                **there,
+                "settings": {**self._settings, "targets": targets},
+                "cells": [[*key, identity] for key, identity in runs.items()],
+                "calls": [*(one for one in there["calls"] if one != self._call), call],
+                "versions": machine.versions(),
+                "machine": machine.machine(),
+            }
             files.write_text(self.path / "study.json", json.dumps(record, indent=1) + "\n")
         self._call = call
-
-    def _keep_targets(self) -> None:
-        (self.path / TARGETS).mkdir(exist_ok=True)
-        for task, target in self._targets.items():
-            write_target(target_file(self.path, task), target)
-
-    def _merged(self, there: dict[str, Any] | None, call: dict[str, Any]) -> dict[str, Any]:
-        there = there or {"format": FORMAT, "settings": {"targets": {}}, "cells": [], "calls": []}
-        calls = [one for one in there["calls"] if one != self._call]
-        runs = dict(runs_of(there)) | self._runs
-        targets = {**there["settings"]["targets"], **self._settings["targets"]}
-        return {
-            **there,
-            "settings": {**self._settings, "targets": targets},
-            "cells": [[*key, identity] for key, identity in runs.items()],
-            "calls": [*calls, call],
-            "versions": machine.versions(),
-            "machine": machine.machine(),
-        }
 
 
 def read_record(path: Path) -> dict[str, Any] | None:
@@ -178,31 +212,17 @@ def _comparable(plan: Plan, settings: dict[RunKey, dict[str, Any]]) -> dict[str,
     return result
 
 
-def _state(folder: Path, settings: dict[str, Any], sources: dict[str, str]) -> State:
-    state = examine(folder, settings, sources)
-    return State("busy") if state.kind != "finished" and is_busy(folder) else state
-
-
 def _check_empty(path: Path) -> None:
     """Raise RunDirectoryError for other files than a call leaves that ends before its record."""
-    there = _visible(path)
-    if there == [path / TARGETS] and there[0].is_dir():
-        there = [entry for entry in _visible(there[0]) if entry.suffix != ".ckpt"]
-    if there:
+    there = [entry for entry in path.glob("[!.]*") if entry.name != TARGETS]
+    if there or any(one.suffix != ".ckpt" for one in (path / TARGETS).glob("[!.]*")):
         raise RunDirectoryError(
             f"{path} holds files that belong to no comparison; name an empty or a new directory"
         )
 
 
-def _visible(folder: Path) -> list[Path]:
-    return [entry for entry in folder.glob("*") if not entry.name.startswith(".")]
-
-
-def check_versions(path: Path, sources: Mapping[str, str], runs: Iterable[RunKey]) -> None:
-    """Raise RunDirectoryError if a finished run is of another version of a source.
-
-    path: folder of the comparison; sources: those of its plan, pretrained weights, losses.
-    """
+def _check_versions(path: Path, sources: Mapping[str, str], runs: Iterable[RunKey]) -> None:
+    """Raise RunDirectoryError if a finished run is of another version of a source."""
     for key in runs:
         try:
             run = read_run(path / key.folder)
@@ -214,22 +234,4 @@ def check_versions(path: Path, sources: Mapping[str, str], runs: Iterable[RunKey
                 f"{file_of(reference)} has changed since runs with {reference} in {path} were "
                 "finished, with which others do not belong: undo the change, name another "
                 f"directory, or delete {path / key.folder.parent} and the other runs with it"
-            )
-
-
-def warn_of_mixed(path: Path, finished: Iterable[Mapping[str, Any]]) -> None:
-    """Warn of finished runs of several versions of a file that changed while runs were at work.
-
-    path: folder of the comparison; finished: `run.json` of its finished runs.
-    """
-    versions: dict[str, set[str]] = defaultdict(set)
-    for run in finished:
-        for reference, there in versions_there(run).items():
-            versions[reference].update(there)
-    for reference, found in versions.items():
-        if len(found) > 1:
-            warn_user(
-                f"{file_of(reference)} has changed while runs with {reference} in {path} were at "
-                f"work: the report has results of {len(found)} versions of it; delete these runs "
-                "and do them again"
             )

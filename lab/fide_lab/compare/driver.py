@@ -5,8 +5,10 @@ from __future__ import annotations
 import multiprocessing
 import os
 import secrets
+import shutil
 import signal
 import threading
+import traceback
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -14,167 +16,111 @@ from contextlib import closing, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from fide_lab.compare.directory import ComparisonDirectory
-from fide_lab.compare.one_run import ERROR, Outcome, State, run_one
-from fide_lab.compare.plan import Checked, Plan, RunKey
-from fide_lab.run import Interrupted
-from fide_plugins.errors import OptionError
+from fide_lab.compare.directory import ERROR, LOCK, ComparisonDirectory, State, examine
+from fide_lab.compare.plan import Checked, Plan, RunKey, target_file
+from fide_lab.run import Interrupted, prepare as prepare_run
+from fide_lab.run.kept_target import read_target
+from fide_plugins.errors import CheckpointError, OptionError
 from fide_plugins.recording.signals import Interrupts
+from fide_plugins.recording.storage import read_run
 from fide_plugins.runtime import files, machine
 from fide_plugins.runtime.machine import connected
+from fide_plugins.runtime.messages import said_once
 from fide_plugins.validation.points import whole_number
 
-Lost = Callable[[Any], Any]
+# -- one run ---------------------------------------------------------------------------------------
 
 
-def in_processes(
-    work: Callable[[Any], Any], items: Sequence[Any], jobs: int, lost: Lost
-) -> Iterator[Any]:
-    """Results of `work` for all items by `jobs` processes, in order of completion.
+@dataclass(frozen=True)
+class Outcome:
+    """Outcome of one run.
 
-    work: a function that can be pickled.
-    lost: gives the result for an item whose process died.
-
-    When the iterator is closed, or an exception is raised into it, the processes are told to stop.
-    Results that still arrive are dropped: the work has written them to files.
+    key: which run.
+    kind: "done" now; "kept", finished before; "failed"; "interrupted", and saved; "busy", locked by
+        another process.
+    note: what failed, or why the run was repeated.
+    totals: totals in `run.json` of a finished run.
+    signum: the signal that interrupted the run.
     """
-    waiting, workers = list(reversed(items)), [_Worker() for _ in range(min(jobs, len(items)))]
-    idle, running = list(workers), dict[Future[Any], tuple[_Worker, Any]]()
-    try:
-        while waiting or running:
-            while waiting and idle:
-                worker, item = idle.pop(), waiting.pop()
+
+    key: RunKey
+    kind: Literal["done", "kept", "failed", "interrupted", "busy"]
+    note: str = ""
+    totals: dict[str, Any] | None = None
+    signum: int = 0
+
+
+def _run_one(plan: Plan, checked: Checked, out: Path, command: list[str], key: RunKey) -> Outcome:
+    """Execute or continue one run of the comparison in `out`; one that fails does not raise."""
+    folder = out / key.folder
+    folder.mkdir(parents=True, exist_ok=True)
+    with files.locked(folder / LOCK) as mine:
+        if not mine:
+            return Outcome(key, "busy", "another process executes it")
+        state = examine(folder, checked.settings[key], checked.versions)
+        if state.kind == "finished":
+            return Outcome(key, "kept", totals=_totals(folder))
+        note = ""
+        if state.why:
+            _clear(folder)
+            damaged = "it was damaged: " if state.kind == "damaged" else ""
+            note = f"repeated, because {damaged}{state.why}"
+        # of an earlier attempt: from here on the run counts as unfinished, not as failed
+        (folder / ERROR).unlink(missing_ok=True)
+        try:
+            attempt = partial(_prepare, plan, key, out, command)
+            with said_once(set(checked.said)):
                 try:
-                    running[worker.submit(work, item)] = worker, item
-                except BrokenProcessPool:  # the process died while it was idle
-                    worker.restart()
-                    idle.append(worker)
-                    yield lost(item)
-            done, _ = wait(running, return_when=FIRST_COMPLETED)
-            for future in done:
-                worker, item = running.pop(future)
-                idle.append(worker)
-                try:
-                    result = future.result()
-                except BrokenProcessPool:
-                    worker.restart()
-                    result = lost(item)
-                yield result
-    finally:
-        _stop(workers)
+                    run = attempt()
+                except CheckpointError as error:
+                    _clear(folder)
+                    run, note = attempt(), f"repeated, because it could not be continued: {error}"
+            run.execute()
+        except Interrupted as stop:
+            return Outcome(key, "interrupted", str(stop), signum=stop.signum)
+        except (Exception, SystemExit) as error:
+            files.write_text(folder / ERROR, traceback.format_exc())
+            return Outcome(key, "failed", f"{type(error).__name__}: {error}")
+        return Outcome(key, "done", note, _totals(folder))
 
 
-def _stop(workers: Sequence[_Worker]) -> None:
-    """Tell all workers to save and stop, and wait for them; a second Ctrl-C does not wait."""
-    try:
-        for worker in workers:
-            worker.signal(signal.SIGTERM)
-        for worker in workers:
-            worker.join()
-    except BaseException:
-        for worker in workers:
-            worker.signal(getattr(signal, "SIGKILL", signal.SIGTERM))
-        raise
+def _prepare(plan: Plan, key: RunKey, out: Path, command: list[str]) -> Any:
+    configuration = plan.configuration(key.configuration)
+    kept = read_target(target_file(out, key.task))
+    return prepare_run(
+        key.task,
+        configuration.name,
+        key.loss,
+        configuration.budget or plan.budget,
+        key.seed,
+        size=plan.size,
+        task_seed=plan.task_seed,
+        task_options=plan.task_options,
+        options=plan.options_of(configuration),
+        out=out / key.folder,
+        resume=True,
+        command=command,
+        keep=plan.keep,
+        target=None if kept is None else kept.image,
+    )
 
 
-class _Worker:
-    def __init__(self) -> None:
-        self._pool, self._pid = _pool(), 0
-
-    def submit(self, work: Callable[[Any], Any], item: Any) -> Future[Any]:
-        self._pid = self._pid or self._pool.submit(os.getpid).result()  # for `signal`
-        return self._pool.submit(_busy, work, item)
-
-    def restart(self) -> None:
-        self._pool.shutdown(wait=False)
-        self._pool, self._pid = _pool(), 0
-
-    def signal(self, signum: int) -> None:
-        if self._pid:
-            with suppress(ProcessLookupError):
-                os.kill(self._pid, signum)
-
-    def join(self) -> None:
-        self._pool.shutdown(wait=True, cancel_futures=True)
+def _clear(folder: Path) -> None:
+    for path in folder.iterdir():
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        elif path.name != LOCK:
+            path.unlink()
 
 
-def _pool() -> ProcessPoolExecutor:
-    context = multiprocessing.get_context("spawn")
-    return ProcessPoolExecutor(1, context, initializer=_begin)
+def _totals(folder: Path) -> dict[str, Any] | None:
+    run = read_run(folder)
+    return None if run is None else run.get("totals")
 
 
-_AT_WORK = threading.Lock()
-
-
-def _busy(work: Callable[[Any], Any], item: Any) -> Any:
-    with _AT_WORK:
-        return work(item)
-
-
-def _begin() -> None:
-    """In a new process: leave the terminal's process group, and end when the parent ends."""
-    if hasattr(os, "setpgid"):
-        os.setpgid(0, 0)
-    threading.Thread(target=_follow, daemon=True).start()
-
-
-def _follow() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is None:
-        return
-    parent.join()
-    os.kill(os.getpid(), signal.SIGTERM)  # the work in progress saves its state and stops
-    with _AT_WORK:
-        os._exit(1)
-
-
-def on_dask(
-    work: Callable[[Any], Any],
-    items: Sequence[Any],
-    address: str,
-    out: Path,
-    lost: Callable[[Any, str], Any],
-) -> Iterator[Any]:
-    """Results of `work` for all items, in order of completion.
-
-    work: a function that can be pickled.
-    out: a folder that every worker must see.
-    lost: gives the result for an item that Dask gives up, from the item and the reason.
-    """
-    with connected(address) as client:
-        from distributed import as_completed
-
-        _check(client, out)
-        futures = {client.submit(work, item, pure=False): item for item in items}
-        completed: Any = as_completed(futures, loop=client.loop)  # type: ignore[no-untyped-call]
-        for future in completed:
-            if future.status == "finished":
-                yield future.result()
-            else:
-                yield lost(futures[future], f"Dask gave up this run: {future.exception()!r}")
-
-
-def _check(client: Any, out: Path) -> None:
-    probe = out / f".probe.{secrets.token_hex(6)}.tmp"
-    probe.touch()
-    try:
-        for name, seen in client.run(_sees, str(probe)).items():
-            if not seen:
-                raise OptionError(
-                    f"the Dask worker {name} does not see {out.resolve()}; name a folder that all "
-                    "machines share under the same path"
-                )
-    finally:
-        probe.unlink()
-
-
-def _sees(path: str) -> bool:
-    return Path(path).exists()
-
-
-Item = tuple[RunKey, dict[str, Any]]
+# -- all of them -----------------------------------------------------------------------------------
 
 
 def run(plan: Plan, out: str | os.PathLike[str], **settings: Any) -> list[Outcome]:
@@ -254,43 +200,160 @@ class Comparison:
         return outcomes
 
     def _outcomes(self) -> Generator[Outcome, None, None]:
-        items = list(self.checked.settings.items())
-        out, checked = self.directory.path, self.checked
-        work = partial(_work, self.plan, out, self.command, checked.versions, checked.said)
+        keys, out = list(self.checked.settings), self.directory.path
+        work = partial(_run_one, self.plan, self.checked._replace(targets={}), out, self.command)
         lost = partial(_note_lost, out)
         if self.dask is not None:
-            yield from on_dask(work, items, self.dask, out, lost)
+            yield from _on_dask(work, keys, self.dask, out, lost)
         elif self.jobs > 1:
-            yield from _interruptible(in_processes(work, items, self.jobs, lost))
+            with Interrupts() as interrupts:
+                arriving = in_processes(work, keys, self.jobs, lost)
+                while True:
+                    with interrupts.stoppable():
+                        outcome = next(arriving, None)
+                    if outcome is None:
+                        return
+                    yield outcome
         else:
-            yield from map(work, items)
+            yield from map(work, keys)
 
 
-def _work(
-    plan: Plan,
-    out: Path,
-    command: list[str],
-    versions: dict[str, str],
-    said: frozenset[str],
-    item: Item,
-) -> Outcome:
-    key, settings = item
-    return run_one(plan, key, settings, out, command, versions, said)
-
-
-def _note_lost(out: Path, item: Item, why: str = "the process that ran it died") -> Outcome:
-    folder = out / item[0].folder
+def _note_lost(out: Path, key: RunKey, why: str = "the process that ran it died") -> Outcome:
+    folder = out / key.folder
     folder.mkdir(parents=True, exist_ok=True)  # it may have died before the run began
     files.write_text(folder / ERROR, why + "\n")
-    return Outcome(item[0], "failed", why)
+    return Outcome(key, "failed", why)
 
 
-def _interruptible(outcomes: Iterator[Outcome]) -> Iterator[Outcome]:
-    """The same outcomes; a signal raises `Interrupted` while the next one is awaited."""
-    with Interrupts() as interrupts:
-        while True:
-            with interrupts.stoppable():
-                outcome = next(outcomes, None)
-            if outcome is None:
-                return
-            yield outcome
+# -- in several processes --------------------------------------------------------------------------
+
+
+def in_processes(
+    work: Callable[[Any], Any], items: Sequence[Any], jobs: int, lost: Callable[[Any], Any]
+) -> Iterator[Any]:
+    """Results of `work` for all items by `jobs` processes, in order of completion.
+
+    work: a function that can be pickled.
+    lost: gives the result for an item whose process died.
+
+    When the iterator is closed, or an exception is raised into it, the processes are told to stop.
+    Results that still arrive are dropped: the work has written them to files.
+    """
+    waiting, workers = list(reversed(items)), [_Worker() for _ in range(min(jobs, len(items)))]
+    idle, running = list(workers), dict[Future[Any], tuple[_Worker, Any]]()
+    try:
+        while waiting or running:
+            while waiting and idle:
+                worker, item = idle.pop(), waiting.pop()
+                try:
+                    running[worker.submit(work, item)] = worker, item
+                except BrokenProcessPool:  # the process died while it was idle
+                    worker.restart()
+                    idle.append(worker)
+                    yield lost(item)
+            done, _ = wait(running, return_when=FIRST_COMPLETED)
+            for future in done:
+                worker, item = running.pop(future)
+                idle.append(worker)
+                try:
+                    result = future.result()
+                except BrokenProcessPool:
+                    worker.restart()
+                    result = lost(item)
+                yield result
+    finally:
+        try:
+            for worker in workers:
+                worker.signal(signal.SIGTERM)
+            for worker in workers:
+                worker.join()
+        except BaseException:  # a second Ctrl-C does not wait
+            for worker in workers:
+                worker.signal(getattr(signal, "SIGKILL", signal.SIGTERM))
+            raise
+
+
+class _Worker:
+    """One process, which is replaced where it dies."""
+
+    def __init__(self) -> None:
+        self._pid = 0
+        self.restart()
+
+    def submit(self, work: Callable[[Any], Any], item: Any) -> Future[Any]:
+        self._pid = self._pid or self._pool.submit(os.getpid).result()  # for `signal`
+        return self._pool.submit(_busy, work, item)
+
+    def restart(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._pool, self._pid = ProcessPoolExecutor(1, context, initializer=_begin), 0
+
+    def signal(self, signum: int) -> None:
+        if self._pid:
+            with suppress(ProcessLookupError):
+                os.kill(self._pid, signum)
+
+    def join(self) -> None:
+        self._pool.shutdown(wait=True, cancel_futures=True)
+
+
+_AT_WORK = threading.Lock()
+
+
+def _busy(work: Callable[[Any], Any], item: Any) -> Any:
+    with _AT_WORK:
+        return work(item)
+
+
+def _begin() -> None:
+    """In a new process: leave the terminal's process group, and end when the parent ends."""
+    if hasattr(os, "setpgid"):
+        os.setpgid(0, 0)
+    threading.Thread(target=_follow, daemon=True).start()
+
+
+def _follow() -> None:
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os.kill(os.getpid(), signal.SIGTERM)  # the work in progress saves its state and stops
+    with _AT_WORK:
+        os._exit(1)
+
+
+# -- by Dask ---------------------------------------------------------------------------------------
+
+
+def _on_dask(
+    work: Callable[[Any], Any],
+    items: Sequence[Any],
+    address: str,
+    out: Path,
+    lost: Callable[[Any, str], Any],
+) -> Iterator[Any]:
+    """As `in_processes`, by the workers of a cluster, which all see the folder `out`."""
+    with connected(address) as client:
+        from distributed import as_completed
+
+        probe = out / f".probe.{secrets.token_hex(6)}.tmp"
+        probe.touch()
+        try:
+            for name, seen in client.run(_sees, str(probe)).items():
+                if not seen:
+                    raise OptionError(
+                        f"the Dask worker {name} does not see {out.resolve()}; name a folder that "
+                        "all machines share under the same path"
+                    )
+        finally:
+            probe.unlink()
+        futures = {client.submit(work, item, pure=False): item for item in items}
+        completed: Any = as_completed(futures, loop=client.loop)  # type: ignore[no-untyped-call]
+        for future in completed:
+            if future.status == "finished":
+                yield future.result()
+            else:
+                yield lost(futures[future], f"Dask gave up this run: {future.exception()!r}")
+
+
+def _sees(path: str) -> bool:
+    return Path(path).exists()

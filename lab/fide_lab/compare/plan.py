@@ -21,13 +21,13 @@ from urllib.parse import quote
 
 from fide_lab import optimizers
 from fide_lab.run import Keep
-from fide_lab.run.prepare import kept_of, make_task, settings_of, target_of
-from fide_lab.run.task import Task, TaskInfo, is_function
+from fide_lab.run.kept_target import KeptTarget
+from fide_lab.run.prepare import kept_of, make_optimizer, make_task, settings_of, target_of
+from fide_lab.run.task import Task, is_function
 from fide_plugins import losses as losses_module
 from fide_plugins.errors import OptionError
 from fide_plugins.learning.hypotheses import with_model
 from fide_plugins.recording.sources import of_files, of_losses, of_models, of_weights
-from fide_plugins.recording.storage import KeptTarget
 from fide_plugins.renderers import FunctionRenderer
 from fide_plugins.runtime.messages import said_once, warn_user
 from fide_plugins.validation.options import check_names, parse_key_value
@@ -129,7 +129,7 @@ class Checked(NamedTuple):
 
     settings: settings that define each run, in the order of the plan.
     targets: that of each task, as it is to be kept.
-    versions: of the losses, and fingerprints of the pretrained weights of encoders, by reference.
+    versions: of the user's files, of losses, and of pretrained weights, by reference.
     said: warnings that making the optimizers gave, which their runs need not repeat.
     """
 
@@ -143,10 +143,8 @@ class Checked(NamedTuple):
 class Plan:
     """What a comparison runs.
 
-    For one task and one loss, all configurations have the same target and the same box, and the
-    same budget but for those that name their own.  Searches start from the center of the box;
-    optimizers that draw their first candidates (`random`, `inverse`) do not.  Runs with the
-    same seed form a pair.
+    For one task and one loss, all configurations have the same target, box and budget, but for
+    those that name their own.  Runs with the same seed form a pair.
 
     tasks, losses: names; configurations: optimizers with options; seeds: number of seeds, from 0.
     budget: renders of each run.
@@ -201,26 +199,22 @@ class Plan:
         """Options of the plan, overridden by those of the configuration."""
         return {**self.options, **configuration.options}
 
-    def sources(self) -> dict[str, str]:
-        """Fingerprints of the user's files that it names, by reference.
-
-        Those of modules are of the files as they were loaded, those of models as they are now.
-        """
-        names = {configuration.name for configuration in self.configurations}
-        found = {name: optimizers.source_of(name) for name in sorted(names)}
-        for task in self.tasks:
-            if is_function(task, self.task_options):
-                found[task] = FunctionRenderer(task).fingerprint
-        options = map(self.options_of, self.configurations)
-        return of_files(found) | of_models(*options)
-
     def check_optimizers(self) -> None:
         """Check names and options of all optimizers; nothing is rendered.
 
         Raises UnknownNameError, OptionError (both ValueErrors), ImportError for a missing package.
         """
+        given = ("self", "dim", "target", "loss", "seed")
         for configuration in self.configurations:
-            _check_options(configuration, self.options_of(configuration))
+            options, known = self.options_of(configuration), optimizers.options(configuration.name)
+            check_names(options, given, "is a setting of the comparison, not of one optimizer")
+            unknown = sorted(set(self.options) - set(known)) if known else []
+            if unknown:
+                raise OptionError(
+                    f"{configuration.name} has no option {unknown[0]!r}; give it to one optimizer "
+                    f"only, as NAME:{unknown[0]}={options[unknown[0]]}"
+                )
+            optimizers.check(configuration.name, options)
 
     def check(self, out: Path) -> Checked:
         """Make every task, loss and optimizer once; returns settings of all runs, and targets.
@@ -234,78 +228,54 @@ class Plan:
         self.check_optimizers()
         settings: dict[RunKey, dict[str, Any]] = {}
         targets: dict[str, KeptTarget] = {}
-        versions: dict[str, str] = {}
-        said: set[str] = set()
+        versions, said = self._versions(), set[str]()
         for name in self.tasks:
             task = make_task(name, self.size, self.task_seed, self.task_options)
-            for configuration in self.configurations:  # a model may be of another version
-                with_model(self.options_of(configuration), task)
             target = target_of(task, target_file(out, name))
             targets[name] = kept_of(task, target)
             mine = [key for key in self.runs() if key.task == name]
             named = {*(key.loss for key in mine), *self.metrics}
-            made = {loss: losses_module.make(loss, target) for loss in named}
-            versions |= of_losses(made.values())
-            seen = set()
+            losses = {loss: losses_module.make(loss, target) for loss in named}
+            versions |= of_losses(losses.values())
             for key in mine:
                 configuration = self.configuration(key.configuration)
-                options = self.options_of(configuration)
-                budget = configuration.budget or self.budget
-                if (key.loss, key.configuration) not in seen:
-                    seen.add((key.loss, key.configuration))
+                if key._replace(seed=0) not in settings:
                     with said_once(said):
-                        versions |= _try_optimizer(
-                            configuration, budget, task, target, key.loss, options
-                        )
+                        versions |= self._try(configuration, task, target, key.loss)
                 known = settings_of(
-                    task, target, configuration.name, made[key.loss].name, budget, key.seed,
-                    self.task_options, options, self.keep,
+                    task, target, configuration.name, losses[key.loss].name,
+                    configuration.budget or self.budget, key.seed, self.task_options,
+                    self.options_of(configuration), self.keep,
                 )  # fmt: skip
                 settings[key] = json.loads(json.dumps(known))  # as it is read back
         ordered = {key: settings[key] for key in self.runs()}
         return Checked(ordered, targets, versions, frozenset(said))
 
+    def _versions(self) -> dict[str, str]:
+        """Fingerprints of the user's files that it names, by reference."""
+        found = {each.name: optimizers.source_of(each.name) for each in self.configurations}
+        for task in self.tasks:
+            if is_function(task, self.task_options):
+                found[task] = FunctionRenderer(task).fingerprint
+        return of_files(found) | of_models(*map(self.options_of, self.configurations))
+
+    def _try(
+        self, configuration: Configuration, task: Task, target: Any, loss: str
+    ) -> dict[str, str]:
+        """Make an optimizer, which raises if it cannot be; fingerprint of its encoder's weights."""
+        name, options = configuration.name, self.options_of(configuration)
+        budget = configuration.budget or self.budget
+        with_model(options, task)  # a model may be of another version
+        optimizer = make_optimizer(name, task, target, loss, 0, budget, options)
+        if budget < optimizer.popsize:
+            warn_user(
+                f"the budget of {budget} renders is below one population of {configuration.label}, "
+                f"which is {optimizer.popsize} for {task.dim} parameters: the optimizer never "
+                "learns; give more renders, or a smaller popsize"
+            )
+        return of_weights(optimizer)
+
 
 def target_file(out: Path, task: str, kind: str = "ckpt") -> Path:
     """File of the target of a task in the folder of a comparison; kind: "ckpt" or "png"."""
     return out / TARGETS / f"{as_file_name(task)}.{kind}"
-
-
-def _check_options(configuration: Configuration, options: dict[str, Any]) -> None:
-    given = ("self", "dim", "target", "loss", "seed")
-    check_names(options, given, "is a setting of the comparison, not of one optimizer")
-    known = optimizers.options(configuration.name)
-    unknown = sorted(set(options) - set(known)) if known else []
-    if unknown and unknown[0] not in configuration.options:
-        raise OptionError(
-            f"{configuration.name} has no option {unknown[0]!r}; give it to one optimizer only, "
-            f"as NAME:{unknown[0]}={options[unknown[0]]}"
-        )
-    optimizers.check(configuration.name, options)
-
-
-def _try_optimizer(
-    configuration: Configuration,
-    budget: int,
-    task: Task,
-    target: Any,
-    loss: str,
-    options: dict[str, Any],
-) -> dict[str, str]:
-    """Make it, which raises if it cannot be; warn of a budget below one population.
-
-    Returns the fingerprint of the weights of its encoder, see `of_weights`.
-    """
-    name = configuration.name
-    if "budget" in optimizers.options(name):  # a run gives it, too: populations may depend on it
-        options = {"budget": budget, **options}
-    space = TaskInfo.of(task).search_space or task.dim
-    optimizer = optimizers.make(name, space, target, loss=loss, seed=0, **options)
-    if budget < optimizer.popsize:
-        warn_user(
-            f"the budget of {budget} renders is below one population of {configuration.label}, "
-            f"which is {optimizer.popsize} for {task.dim} parameters: the optimizer never learns, "
-            "all of its candidates are of its first population; give more renders, or a smaller "
-            "popsize"
-        )
-    return of_weights(optimizer)

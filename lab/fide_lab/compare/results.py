@@ -13,11 +13,9 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from fide_lab.compare.directory import digest, read_record, runs_of, warn_of_mixed
-from fide_lab.compare.one_run import ERROR, examine
+from fide_lab.compare.directory import ERROR, digest, examine, read_record, runs_of
 from fide_lab.compare.plan import Configuration, RunKey
 from fide_plugins.errors import FideError, UnknownNameError
-from fide_plugins.recording.record import WORKERS
 from fide_plugins.recording.storage import RunDirectoryError, read_run
 from fide_plugins.runtime.files import read_regular
 from fide_plugins.types import Float64
@@ -34,16 +32,6 @@ class NoResultsError(FideError, FileNotFoundError):
 
 class AllFailedError(NoResultsError):
     """Nothing can be reported because runs failed."""
-
-    @classmethod
-    def check(cls, results: Results) -> None:
-        """Raise it if runs failed and none is finished."""
-        failed = sum(run.state == "failed" for run in results.runs)
-        if failed and not any(run.state == "finished" for run in results.runs):
-            raise cls(
-                f"no run in {results.path} is finished, and {failed} of {len(results.runs)} "
-                f"failed; {ERROR} in their directories has the tracebacks"
-            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,9 +53,7 @@ class Curve:
         """Value at each of `x`: NaN before the first step, the last value after the end."""
         values = self.loss if metric is None else self.metrics[metric]
         index = np.searchsorted(self.at[axis], x, side="right") - 1
-        padded = np.append(values, np.nan)  # index -1 gives NaN
-        result: Float64 = padded[index]
-        return result
+        return np.append(values, np.nan)[index]  # index -1 gives NaN
 
     def loss_at(self, axis: str, x: float, metric: str | None = None) -> float:
         """Best loss at x, or a metric of that candidate; infinity before the first finite one."""
@@ -136,6 +122,15 @@ class Results:
     runs: list[StoredRun]
     not_shown: tuple[str, ...] = ()
 
+    def check(self) -> None:
+        """Raise AllFailedError if runs failed and none is finished."""
+        failed = sum(run.state == "failed" for run in self.runs)
+        if failed and not any(run.state == "finished" for run in self.runs):
+            raise AllFailedError(
+                f"no run in {self.path} is finished, and {failed} of {len(self.runs)} "
+                f"failed; {ERROR} in their directories has the tracebacks"
+            )
+
     @property
     def optimizers(self) -> list[str]:
         """Labels of the configurations, in the order of the plan."""
@@ -158,7 +153,6 @@ class Results:
 def read(path: str | os.PathLike[str]) -> Results:
     """Read the comparison in the folder `path`.
 
-    Warns of runs of several versions of a user's file, which do not belong together.
     Raises NoResultsError (a FileNotFoundError) if there is none, RunDirectoryError (a
     FileExistsError) if its record is damaged.
     """
@@ -173,15 +167,8 @@ def read(path: str | os.PathLike[str]) -> Results:
     if record is None:
         raise NoResultsError(f"{folder} holds no comparison; make one: fide compare ... --out DIR")
     runs = [_read_run(folder, key, identity) for key, identity in runs_of(record)]
-    warn_of_mixed(folder, [one.run for one in runs if one.state == "finished"])
-    return Results(
-        folder,
-        record["settings"],
-        record["calls"],
-        record.get("versions", {}),
-        record.get("machine", {}),
-        runs,
-    )
+    versions, here = record.get("versions", {}), record.get("machine", {})
+    return Results(folder, record["settings"], record["calls"], versions, here, runs)
 
 
 def _read_run(out: Path, key: RunKey, identity: str) -> StoredRun:
@@ -208,14 +195,7 @@ def _curve(folder: Path, run: dict[str, Any]) -> Curve:
     names, *rows = csv.reader(read_regular(folder / "improvements.csv").decode().splitlines())
     table = np.array(rows, np.float64).reshape(len(rows), len(names)).T
     columns = dict(zip(names, table, strict=True))
-    del columns[f"round_of_{WORKERS}"]
     totals = run["totals"]
-    at = {
-        "renders": columns.pop("evaluation") + 1,
-        "seconds": columns.pop("seconds"),
-    }
-    ends = {
-        "renders": float(totals["evaluations"]),
-        "seconds": float(totals["wall_s"]),
-    }
+    at = {"renders": columns.pop("evaluation") + 1, "seconds": columns.pop("seconds")}
+    ends = {"renders": float(totals["evaluations"]), "seconds": float(totals["wall_s"])}
     return Curve(at, ends, columns.pop("loss"), columns)

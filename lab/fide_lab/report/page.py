@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
-import numpy as np
-
-from fide_lab.compare.plan import as_file_name, target_file
-from fide_lab.compare.results import AXES, AllFailedError, NoResultsError, Results, StoredRun
+from fide_lab.compare.plan import RunKey, as_file_name, target_file
+from fide_lab.compare.results import AXES, NoResultsError, Results
 from fide_lab.report import plots, sentences, tables
 from fide_lab.report.document import Document, Picture, Section, Written, companion, page_path
-from fide_lab.report.panel import Panel, check_thresholds, panels
+from fide_lab.report.panel import Panel, panels
+from fide_plugins.errors import OptionError
 from fide_plugins.runtime import files
 
 __all__ = ["Written", "write"]
@@ -31,14 +30,14 @@ def write(
         median of a panel.
 
     Raises NoResultsError (a FileNotFoundError) if no run is finished, AllFailedError (one of them)
-    if some failed, OptionError (a ValueError)
-    for a page without the suffix .html or a threshold of a loss that was not compared,
-    DependencyError (an ImportError) without Jinja2, OSError if a file cannot be written.
+    if some failed, OptionError (a ValueError) for a page without the suffix .html or a threshold of
+    a loss that was not compared, DependencyError (an ImportError) without Jinja2, OSError if a file
+    cannot be written.
     """
     path = page_path(page)
     check_thresholds(thresholds or {}, [run.key for run in results.runs])
     found = panels(results, thresholds or {})
-    AllFailedError.check(results)
+    results.check()
     if not found:
         raise NoResultsError(f"no run in {results.path} is finished; run: fide compare --resume")
     remarks = [*sentences.without_results(results), *sentences.not_shown(results.not_shown)]
@@ -60,6 +59,17 @@ def write(
     return Written(path, "\n\n".join([*overview, *remarks]) + "\n")
 
 
+def check_thresholds(thresholds: Collection[str], runs: Iterable[RunKey]) -> None:
+    """Raise OptionError for a threshold of what is none of the runs' "loss" or "task/loss"."""
+    known = {name for key in runs for name in (key.loss, f"{key.task}/{key.loss}")}
+    for name in thresholds:
+        if name not in known:
+            raise OptionError(
+                f"a threshold is given for {name!r}, which is not compared; choose from "
+                f"{', '.join(sorted(known))}"
+            )
+
+
 def _facts(results: Results, found: Sequence[Panel]) -> str:
     budgets = sorted({row.budget for panel in found for row in panel.rows})
     renders = " to ".join(map(tables.number, dict.fromkeys((budgets[0], budgets[-1]))))
@@ -79,23 +89,15 @@ def _section(results: Results, panel: Panel) -> Section:
         for row in sorted(panel.rows, key=lambda row: row.median)
     )
     about = f"Best {panel.loss} so far on {panel.task}; medians at the end: {ends}."
-    pictures = [
-        Picture(
-            f"convergence-{name}-{axis}",
-            f"{about} Along: {axis}.",
-            plots.png(plots.convergence(panel, axis)),
-        )
-        for axis in AXES
-    ]
+    pictures = []
+    for axis in AXES:
+        png = plots.png(plots.convergence(panel, axis))
+        pictures.append(Picture(f"convergence-{name}-{axis}", f"{about} Along: {axis}.", png))
     images = plots.grid(panel, target_file(results.path, panel.task, "png"))
     alt = "Target, best, median and worst run of each optimizer"
     pictures.append(Picture(f"images-{name}", alt, plots.png(images)))
-    return Section(
-        panel.name,
-        [f"Parameters: {panel.dim}. {sentences.summary(panel)}"],
-        pictures,
-        [tables.ranking(panel), tables.times(panel)],
-    )
+    said = f"Parameters: {panel.dim}. {sentences.summary(panel)}"
+    return Section(panel.name, [said], pictures, [tables.ranking(panel)])
 
 
 def _unfinished(results: Results) -> list[Section]:
@@ -118,16 +120,5 @@ def _origin(results: Results) -> dict[str, Any]:
         where = "a Dask cluster" if call.get("dask") else f"processes: {call.get('jobs', 1)}"
         ended = call["finished"] or "an end that was not recorded"
         origin[f"call {number}"] = f"{where}; from {call['started']} to {ended}"
-    loads = _loads(results.runs)
-    if loads:
-        origin["load at the end of runs"] = (
-            f"{np.median(loads):.2g} (median), {max(loads):.2g} (highest); above the number of "
-            "cores, other programs took part of the time"
-        )
     settings = {k.replace("_", " "): v for k, v in results.settings.items() if k != "size"}
     return origin | results.machine | results.versions | settings
-
-
-def _loads(runs: Sequence[StoredRun]) -> list[float]:
-    recorded = (run.run.get("load") for run in runs if run.curve is not None)
-    return [load for load in recorded if isinstance(load, int | float)]

@@ -6,18 +6,16 @@ unfinished run is left out, since it says nothing of its optimizer.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from fide_lab.compare.plan import RunKey, split
+from fide_lab.compare.plan import split
 from fide_lab.compare.results import Results, StoredRun
 from fide_lab.report import statistics
 from fide_lab.report.statistics import Paired
-from fide_plugins.errors import OptionError
-from fide_plugins.recording.record import PARTS
 
 SIGNIFICANT = 0.05
 """Adjusted p below which a difference is called significant."""
@@ -28,8 +26,7 @@ class Row:
     """One configuration.
 
     label: its label; name: its short name; index: its position in the plan.
-    runs: finished runs by seed; failed: runs that failed, by seed; planned: number of runs in the
-        plan.
+    runs, failed: by seed; planned: number of runs in the plan.
     """
 
     label: str
@@ -59,11 +56,6 @@ class Row:
         """Finished runs from best to worst."""
         return sorted(self.runs, key=lambda run: run.final)
 
-    @property
-    def typical(self) -> StoredRun:
-        """The median of the finished runs; of two middle runs the better one."""
-        return self.ranked[(len(self.runs) - 1) // 2]
-
     def losses(self, renders: int | None = None) -> dict[int, float]:
         """Final loss of each run by seed, or its best loss after that many renders."""
         found = {run.key.seed: _loss(run, renders) for run in self.runs}
@@ -78,16 +70,6 @@ class Row:
     def with_failed(self, values: Sequence[float]) -> list[float]:
         """Values of the finished runs, and infinity for each that failed."""
         return [*values, *[np.inf] * len(self.failed)]
-
-    def milliseconds(self) -> dict[str, float]:
-        """Median time of one evaluation, by `PARTS` and "other"."""
-        split = []
-        for run in self.runs:
-            times = run.totals["times"]
-            parts = [times[part] for part in PARTS]
-            rest = run.totals["wall_s"] - sum(parts)
-            split.append([1e3 * s / run.totals["evaluations"] for s in (*parts, max(0.0, rest))])
-        return dict(zip((*PARTS, "other"), np.median(split, axis=0).tolist(), strict=True))
 
     @property
     def seconds(self) -> float:
@@ -179,20 +161,17 @@ class Panel:
 
 def panels(results: Results, thresholds: dict[str, float]) -> list[Panel]:
     """All panels with a finished run; thresholds by "task/loss" or "loss"."""
-    order = results.optimizers
-    names = short_names(order)
+    names = short_names(results.optimizers)
     made = []
     for task, loss in dict.fromkeys((r.key.task, r.key.loss) for r in results.runs):
-        mine = [r for r in results.runs if (r.key.task, r.key.loss) == (task, loss)]
         every = []
-        for index, label in enumerate(order):
-            planned = sorted(
-                (r for r in mine if r.key.configuration == label), key=lambda r: r.key.seed
-            )
-            runs = tuple(r for r in planned if r.curve is not None)
-            failed = tuple(r for r in planned if r.state == "failed")
-            if planned:
-                every.append(Row(label, names[label], index, runs, failed, len(planned)))
+        for index, (label, name) in enumerate(names.items()):
+            mine = [r for r in results.runs if r.key[:3] == (task, loss, label)]
+            mine.sort(key=lambda r: r.key.seed)
+            runs = tuple(r for r in mine if r.curve is not None)
+            failed = tuple(r for r in mine if r.state == "failed")
+            if mine:
+                every.append(Row(label, name, index, runs, failed, len(mine)))
         rows = tuple(row for row in every if row.runs)
         empty = tuple(row for row in every if not row.runs)
         if rows:
@@ -225,20 +204,6 @@ def _loss(run: StoredRun, renders: int | None) -> float:
     if renders is None or run.curve is None:
         return run.final
     return run.curve.loss_at("renders", renders)
-
-
-def check_thresholds(thresholds: Collection[str], runs: Iterable[RunKey]) -> None:
-    """Raise OptionError for a threshold of what is none of the runs' "loss" or "task/loss"."""
-    known = {name for key in runs for name in (key.loss, f"{key.task}/{key.loss}")}
-    unknown = sorted(set(thresholds) - known)
-    if unknown:
-        raise OptionError(
-            f"a threshold is given for {unknown[0]!r}, which is not compared; choose from "
-            f"{', '.join(sorted(known))}"
-        )
-
-
-# -- short names of configurations for figures and tables ------------------------------------------
 
 
 def short_names(labels: Iterable[str]) -> dict[str, str]:

@@ -38,7 +38,7 @@ def style(index: int) -> dict[str, Any]:
 
 def convergence(panel: Panel, axis: str) -> Figure:
     """Median and bands of the best loss so far of every configuration along one axis."""
-    figure, axes = _canvas([row.name for row in panel.rows])
+    figure, axes = _canvas()
     drawn = []
     for row in panel.rows:
         curves = [run.curve for run in row.runs if run.curve]
@@ -73,7 +73,7 @@ def tradeoff(
 
     curves: (cost, loss) by label; the last pair is the end of the runs.
     """
-    figure, axes = _canvas(list(curves))
+    figure, axes = _canvas()
     if front:
         x, y = zip(*front, strict=True)
         axes.step(x, y, where="post", color=INK, linewidth=5, alpha=0.15, label="front")
@@ -96,7 +96,7 @@ def profile(
     x: (m,), increasing, positive.  shares: (m, S) in [0, 1], S curves called `names`.
     marks: vertical lines.
     """
-    figure, axes = _canvas(names)
+    figure, axes = _canvas()
     for mark in marks:
         axes.axvline(mark, color=MUTED, linewidth=0.8, linestyle=(0, (1, 2)))
     for index, name in enumerate(names):
@@ -112,11 +112,9 @@ def grid(panel: Panel, target: Path) -> Figure:
     """The target, and the best, median and worst run of each configuration, with its loss."""
     columns = len(panel.rows) + 1
     lines = max(len(_chosen(row)) for row in panel.rows)
-    height = 0.3 + 1.2 * lines
-    figure = new_figure(1.15 * columns, height)
-    room = {"left": 0.02, "right": 0.98, "top": 1 - 0.2 / height, "bottom": 0.2 / height,
-            "wspace": 0.06, "hspace": 0.14}  # fmt: skip
-    axes = np.asarray(figure.subplots(lines, columns, squeeze=False, gridspec_kw=room))
+    figure = new_figure(1.15 * columns, 0.3 + 1.2 * lines)
+    figure.set_layout_engine("constrained")
+    axes = np.asarray(figure.subplots(lines, columns, squeeze=False))
     for each in axes.flat:
         each.set_axis_off()
     _show(axes[0, 0], target, "", "target")
@@ -130,9 +128,10 @@ def grid(panel: Panel, target: Path) -> Figure:
 
 
 def _chosen(row: Row) -> Sequence[tuple[str, StoredRun]]:
-    """The best, the median and the worst run; two of two runs, one of one."""
+    """The best, median (of two the better) and worst run; two of two runs, one of one."""
     ranked = row.ranked
-    chosen = [("best", ranked[0]), ("median", row.typical), ("worst", ranked[-1])]
+    typical = ranked[(len(ranked) - 1) // 2]
+    chosen = [("best", ranked[0]), ("median", typical), ("worst", ranked[-1])]
     return chosen if len(ranked) > 2 else chosen[:1] if len(ranked) == 1 else chosen[::2]
 
 
@@ -162,15 +161,11 @@ def _label(name: str) -> str:
     return plain(fitted(name, _LONGEST))
 
 
-def _canvas(names: Sequence[str]) -> tuple[Figure, Any]:
-    """Figure and axes with room for a legend of these names on the right."""
-    right = 0.5 + 0.062 * max(len(fitted(name, _LONGEST)) for name in names)
-    width, height, left, bottom, top = 5.1 + right, 3.6, 0.72, 0.48, 0.26  # inches
-    figure = new_figure(width, height)
-    axes = figure.add_axes(
-        (left / width, bottom / height,
-         (width - left - right) / width, (height - bottom - top) / height)
-    )  # fmt: skip
+def _canvas() -> tuple[Figure, Any]:
+    """Figure and axes; the legend stands on the right."""
+    figure = new_figure(7.2, 3.6)
+    figure.set_layout_engine("constrained")
+    axes = figure.subplots()
     axes.tick_params(which="both", labelsize=9, colors=MUTED)
     axes.grid(color=RULE, linewidth=0.6)
     axes.set_axisbelow(True)
@@ -185,15 +180,12 @@ def _titles(axes: Any, x: str, y: str) -> None:
     axes.set_xlabel(x, fontsize=10, color=INK)
     axes.set_title(y, fontsize=10, color=INK, loc="left", pad=5)
     if axes.get_legend_handles_labels()[0]:
-        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.02), fontsize=7, frameon=False,
-                    labelcolor=INK, handlelength=2.8)  # fmt: skip
+        axes.figure.legend(loc="outside right upper", fontsize=7, frameon=False, labelcolor=INK,
+                           handlelength=2.8)  # fmt: skip
 
 
 def _scale(axes: Any, which: str, values: Float64) -> None:
-    """Logarithmic axis around the positive values, if there are any; zero lies below the plot.
-
-    Labels are decimal (0.01, not a power of ten); a short range has more of them.
-    """
+    """Logarithmic axis around the positive values, if there are any; zero lies below the plot."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     positive = values[(values > 0) & np.isfinite(values)]

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from fide_lab.compare.results import Results
+from fide_lab.report.statistics import quantiles
 from fide_plugins.recording.record import PARTS
 
 if TYPE_CHECKING:
@@ -32,17 +33,9 @@ class Table:
     rows: Sequence[Sequence[str]]
 
 
-def markdown(table: Table) -> str:
-    """The table in Markdown, with aligned columns."""
-    return _aligned(table, escaped)
-
-
-def plain(table: Table) -> str:
-    """The table for a terminal: as in Markdown, but names without escapes."""
-    return _aligned(table, str)
-
-
-def _aligned(table: Table, written: Callable[[str], str]) -> str:
+def markdown(table: Table, written: Callable[[str], str] | None = None) -> str:
+    """The table in Markdown, with aligned columns; written: of each text, None escapes it."""
+    written = written or escaped
     texts = [[written(title) for title, _ in table.columns]]
     for row in table.rows:
         texts.append([f"**{written(t)}**" if isinstance(t, Strong) else written(t) for t in row])
@@ -53,6 +46,11 @@ def _aligned(table: Table, written: Callable[[str], str]) -> str:
         aligned = (text.rjust(width) for text, width in zip(rest, widths[1:], strict=True))
         lines.append(f"| {' | '.join([first.ljust(widths[0]), *aligned])} |")
     return "\n".join(lines)
+
+
+def plain(table: Table) -> str:
+    """The table for a terminal: as in Markdown, but names without escapes."""
+    return markdown(table, str)
 
 
 def escaped(text: str) -> str:
@@ -118,26 +116,12 @@ def ranking(panel: Panel) -> Table:
     return Table(f"{panel.name}: results", columns, rows)
 
 
-def times(panel: Panel) -> Table:
-    """Time of an evaluation by part."""
-    parts = (*PARTS, "other")
-    columns = [
-        ("optimizer", "name and options"),
-        *((part, f"median milliseconds per evaluation: {part}") for part in parts),
-    ]
-    rows = [[row.name, *map(number, row.milliseconds().values())] for row in panel.rows]
-    return Table(f"{panel.name}: milliseconds of an evaluation", columns, rows)
-
-
 def _range(row: Row) -> str:
-    from fide_lab.report.statistics import quantiles
-
     low, high = quantiles(row.finals)[[1, 3]].tolist()
     return f"{number(low)} to {number(high)}" if math.isfinite(low) else number(low)
 
 
 def _against_winner(panel: Panel, row: Row) -> tuple[str, str]:
-    """Ratio and p."""
     if row is panel.winner:
         return "winner" if len(panel.lowest) == 1 else "", ""
     test = panel.against_winner.get(row.label)
@@ -172,14 +156,16 @@ def results_csv(results: Results) -> str:
     ]  # fmt: skip
     rows: list[list[Any]] = []
     for result in results.runs:
-        row = [*map(_text, result.key[:3]), result.key.seed, result.state]
+        texts = (f"'{text}" if text[:1] in "=+-@\t\r" else text for text in result.key[:3])
+        row = [*texts, result.key.seed, result.state]
         if result.curve is not None:
             t = result.totals
+            seconds = [t["wall_s"], *(t["times"][part] for part in PARTS)]
             row += [
                 t["dim"], t["evaluations"], t["best_loss"], t["best_evaluation"],
                 t["reference_loss"], t["recommended_loss"],
-                *(t["judged"].get(m) for m in metrics), _round(t["wall_s"]),
-                *(_round(t["times"][part]) for part in PARTS), result.run.get("load"),
+                *(t["judged"].get(m) for m in metrics),
+                *(round(float(s), 4) for s in seconds), result.run.get("load"),
             ]  # fmt: skip
         rows.append(row + [None] * (len(names) - len(row)))
     return as_csv(names, rows)
@@ -192,11 +178,3 @@ def as_csv(names: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
     writer.writerow(names)
     writer.writerows(rows)
     return buffer.getvalue()
-
-
-def _text(text: str) -> str:
-    return f"'{text}" if text[:1] in "=+-@\t\r" else text
-
-
-def _round(seconds: float) -> float:
-    return round(float(seconds), 4)

@@ -1,12 +1,9 @@
 """Runs of tasks whose target the renderer did not draw: what is compared, and what judges.
 
-The loss that is minimized does not say who is right: of two comparisons of the same pictures each
-has its own.  So the task says how wrong a point is (`TaskInfo.error`), which no optimizer sees.
-
-FIDE is told images and compares them itself, by its options (``photo=True``).  Any other optimizer
-is told images and losses as ``photo=True`` would compare them: with robust differences and the
-coverage, and with the kind of light set aside that the task says has changed.  FIDE is not told
-which.
+Of two comparisons of the same pictures each has its own loss, so the task says how wrong a point is
+(`TaskInfo.error`), which no optimizer sees.  FIDE is told images and compares them itself.  Any
+other optimizer is told images and losses as ``photo=True`` would compare them, and with the kind of
+light set aside that the task says has changed.
 """
 
 from __future__ import annotations
@@ -75,7 +72,11 @@ class Foreign:
         if self._fide is not None and self._fide.state.comparisons != self._comparisons:
             self._comparisons, best = self._fide.state.comparisons, self._fide.state.best
             if best is not None and best.solution.image is not None:
-                record.judge_best(best.solution)
+                record.best_loss, record.best_evaluation = (
+                    best.solution.loss,
+                    best.solution.evaluation,
+                )
+                record.x_best, record.image = best.solution.x.copy(), best.solution.image
                 record.improvements.append(record.evaluations - 1)
                 record.path.append(best.solution.x.copy())
         errors = record.metrics.setdefault(ERROR, array("d"))

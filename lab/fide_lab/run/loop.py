@@ -1,15 +1,12 @@
 """A run of a task: generations, rendered in pieces, until the budget is spent.
 
 The loop is that of `fit` (`fide_plugins.fitting.loop`).  It asks for a whole generation, which is
-rendered in pieces of a fixed size, so that results arrive and can be saved before a slow generation
-is complete.  A user's renderer makes one image after the other, so each is told at once: an
-interrupt or a failure loses no other.  The size is fixed because the same seed must give the same
-run: a size that depends on the renderer's speed would change the last bits of features that are
-computed in batches.  FIDE's steps between two generations come one at a time (`FIDE.ask_ready`).
+rendered in pieces of a fixed size (one image, of a user's renderer), so that results can be saved
+before a slow generation is complete.  The size is fixed because the same seed must give the same
+run: another one changes the last bits of features that are computed in batches.
 
-Resuming gives the result of an uninterrupted run, bit for bit.  The state is saved only between
-pieces, together with the pending candidates, and each evaluation of a noisy renderer has its own
-seed.
+Resuming gives the result of an uninterrupted run, bit for bit: the state is saved only between
+pieces, with the pending candidates, and each evaluation of a noisy renderer has its own seed.
 
 The lowest of many noisy losses is biased low.  So at the end the best candidate, and the candidate
 that the optimizer recommends, are rendered again by the task's `reference`.
@@ -21,7 +18,7 @@ import time
 from array import array
 from collections.abc import Callable, Mapping
 from contextlib import closing, nullcontext, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +34,6 @@ from fide_plugins.fitting.workers import InThisProcess
 from fide_plugins.losses.base import ImageLoss
 from fide_plugins.recording.directory import RunDirectory, note_unsaved
 from fide_plugins.recording.record import (
-    Keep,
     Progress,
     Record,
     Report,
@@ -46,6 +42,7 @@ from fide_plugins.recording.record import (
     result_of,
 )
 from fide_plugins.recording.signals import Interrupted, Interrupts
+from fide_plugins.recording.storage import remove_checkpoint
 from fide_plugins.types import Float32, Float64, Optimizer
 from fide_plugins.validation.images import as_batch, as_target
 from fide_plugins.validation.pixels import Clipping
@@ -56,6 +53,20 @@ __all__ = ["PIECE", "Run", "judge"]
 PIECE = 32
 """Largest number of candidates that are rendered before their results are told, where the task does
 not say another; see `TaskInfo.piece`."""
+
+
+@dataclass(frozen=True)
+class Keep:
+    """What a run records in addition to the losses; none of it counts as time of the run.
+
+    metrics: names of losses that also measure every image that improves on the best loss.
+    summary: a figure of the whole run, summary.png.
+    checkpoint: whether to keep the checkpoint of a finished run.
+    """
+
+    metrics: tuple[str, ...] = ()
+    summary: bool = True
+    checkpoint: bool = True
 
 
 class Run:
@@ -93,11 +104,6 @@ class Run:
         self._foreign: Foreign | None = None
         if self._info.error is not None:
             self._foreign = Foreign(self._info, target, settings["loss"], optimizer)
-
-    @property
-    def advice(self) -> str | None:
-        """What the task advises for this loss; None for nothing."""
-        return None if self._info.advice is None else self._info.advice(self.loss.name)
 
     @property
     def out(self) -> Path | None:
@@ -142,7 +148,15 @@ class Run:
                     note_unsaved(error, unsaved)
                 raise
             interrupts.block()
-            return self._finish(verdict)
+            result = self._result(verdict)
+            if self._directory is not None:
+                self._directory.write_reference(result)
+                if self._keep.summary:
+                    self._directory.write_summary(result, self.target)
+                self._directory.write_run("finished", result)
+                if not self._keep.checkpoint:
+                    remove_checkpoint(self._directory.path)
+            return result
 
     # -- steps of the loop -------------------------------------------------------------------------
 
@@ -159,7 +173,6 @@ class Run:
             raise PointsError(
                 f"{self.settings['optimizer']} asked for impossible candidates: {error}"
             ) from error
-        self.record.generations.append(len(points))
         return points
 
     def tell(self, X: Float64, images: Any) -> bool:
@@ -168,29 +181,21 @@ class Run:
         if self._foreign is not None:
             self._loop.whole = False
             batch, losses = self._foreign.tell(self.optimizer, X, images, record)
-            self._loop.tick()
-            return self._enter(X, batch, losses)
-        try:
-            batch = as_batch(images, self.target.shape, n=len(X), on_clip=self._clipping)
-            losses = self.loss.compute(batch)
-        except BaseException:
-            self._loop.put_back(X)
-            raise
-        record.times["encode"] += time.perf_counter() - start
-        self._loop.whole = False
-        with record.timing(self.optimizer):
-            self.optimizer.tell(X, batch, losses)
+        else:
+            try:
+                batch = as_batch(images, self.target.shape, n=len(X), on_clip=self._clipping)
+                losses = self.loss.compute(batch)
+            except BaseException:
+                self._loop.put_back(X)
+                raise
+            record.times["encode"] += time.perf_counter() - start
+            self._loop.whole = False
+            with record.timing(self.optimizer):
+                self.optimizer.tell(X, batch, losses)
         self._loop.tick()
-        return self._enter(X, batch, losses)
-
-    def _enter(self, X: Float64, batch: Float32, losses: Float64) -> bool:
-        """Record what was told; whether it holds the best loss so far."""
-        record = self.record
         improved = record.add(X, batch, losses)
-        start = time.perf_counter()
         with self._loop.not_counted():
             self._observe(batch, improved)
-        record.watch_s += time.perf_counter() - start
         self._loop.whole = True
         return bool(improved)
 
@@ -246,26 +251,10 @@ class Run:
             with suppress(Exception):  # of a record that is not whole; the totals matter more
                 self._directory.write_tables(r, r.image)
                 self._directory.write_target(self.target)
-        found = self.target, self.loss, r.x_best, r.image
-        try:
-            seen = judge(None, *found, metrics=self._metrics)
-        except Exception:  # of the metric that has ended the run
-            seen = judge(None, *found)
-        result = self._result(seen)
+        result = self._result(judge(None, self.target, self.loss, r.x_best, r.image))
         self._directory.write_run(state, result)
         if state == "interrupted" and self._keep.summary and r.evaluations:
             self._directory.write_summary(result, self.target)
-
-    def _finish(self, verdict: Verdict) -> RunResult:
-        result = self._result(verdict)
-        if self._directory is not None:
-            self._directory.write_reference(result)
-            if self._keep.summary:
-                self._directory.write_summary(result, self.target)
-            self._directory.write_run("finished", result)
-            if not self._keep.checkpoint:
-                self._directory.remove_checkpoint()
-        return result
 
     def _judge(self) -> Verdict:
         r, reference = self.record, self._info.reference
@@ -314,23 +303,21 @@ def judge(
     x_recommended: Float64 | None = None,
     metrics: Mapping[str, ImageLoss] | None = None,
 ) -> Verdict:
-    """Evaluate the best candidate and, if given, the recommended candidate, without noise.
+    """Evaluate the best and, if given, the recommended candidate, by `TaskInfo.reference`.
 
-    reference: of the task, see `TaskInfo`.  metrics: other losses by name, for the best one.
+    metrics: other losses by name, for the best one.
     """
-    start = time.perf_counter()
     if x_best is None or image is None:
         return Verdict()
     best = image if reference is None else as_target(reference(x_best))
     value, others = _loss(loss, best), {k: _loss(m, best) for k, m in (metrics or {}).items()}
-    mse = float(losses_module.make("mse", target)(best[None])[0])
+    mse = _loss(losses_module.make("mse", target), best)
     if reference is None:
         return Verdict(best, value, mse, metrics=others)
     recommended = value
     if x_recommended is not None and not np.array_equal(x_recommended, x_best):
         recommended = _loss(loss, as_target(reference(x_recommended)))
-    seconds = time.perf_counter() - start
-    return Verdict(best, value, mse, x_recommended, recommended, others, seconds)
+    return Verdict(best, value, mse, x_recommended, recommended, others)
 
 
 def _loss(loss: ImageLoss, image: Float32) -> float:

@@ -11,22 +11,19 @@ from typing import Any
 
 from fide_lab import optimizers
 from fide_lab.optimizers import Named
-from fide_lab.run.loop import Run
+from fide_lab.run.kept_target import KeptTarget, read_target, same_target, write_target
+from fide_lab.run.loop import Keep, Run
 from fide_lab.run.task import Task, TaskInfo, is_own, make_renderer_task, source_of_target
 from fide_lab.suite import read as read_suite
 from fide_plugins import losses as losses_module
 from fide_plugins.errors import CheckpointError, FideError, OptionError, RenderError
 from fide_plugins.learning.hypotheses import with_model
-from fide_plugins.losses.base import ImageLoss
 from fide_plugins.recording.directory import RunDirectory
-from fide_plugins.recording.record import Keep, Progress, Record, RunResult
+from fide_plugins.recording.record import Progress, Record, RunResult
 from fide_plugins.recording.sources import of_files, of_losses, of_models, of_weights
 from fide_plugins.recording.storage import (
     TARGET_FILE,
-    KeptTarget,
     is_saved,
-    read_target,
-    same_target,
 )
 from fide_plugins.runtime.registry import fingerprint_of, own_name
 from fide_plugins.types import Float32, Optimizer
@@ -34,7 +31,9 @@ from fide_plugins.validation.images import as_target
 from fide_plugins.validation.options import check_names
 from fide_plugins.validation.points import whole_number
 
-__all__ = ["kept_of", "make_task", "prepare", "run", "settings_of", "target_of"]
+__all__ = [
+    "kept_of", "make_optimizer", "make_task", "prepare", "run", "settings_of", "target_of",
+]  # fmt: skip
 
 
 def run(
@@ -79,24 +78,19 @@ def prepare(
 
     task: name in `fide_tasks`; ``FILE.py:NAME``, or any name with the option `command`, for a
         user's renderer, see `task.make_renderer_task`; or a `Task`.
-    size, task_seed, task_options: arguments of a task that is given by name; a user's renderer has
-        its own size.
-    optimizer: name in `fide_lab.optimizers`; ``FILE.py:NAME`` for a user's class, see
-        `baselines.own`; or a class, or a function ``(dim, target, loss=, seed=, **options)`` that
-        makes an optimizer.
+    size, task_seed, task_options: arguments of a task that is given by name.
+    optimizer: name in `fide_lab.optimizers`; ``FILE.py:NAME`` for a user's class; or a class, or a
+        function ``(dim, target, loss=, seed=, **options)`` that makes an optimizer.
     loss: name in `fide_plugins.losses`, or a callable images -> (n,).
     budget: number of candidates to render.
     seed: of the optimizer, and of the renderer's noise.
     options: of the optimizer, such as popsize.
     out: run directory; None writes nothing.
-    resume: continue the run in `out` if there is one; otherwise start it.  The budget may be a
-        larger one, unless the optimizer depends on it.
-    checkpoint_every: seconds between checkpoints, at least twenty times the time to write one.  A
-        process that is killed loses at most the results since the last one.  0: after every piece.
+    resume: continue the run in `out` if there is one, perhaps with a larger budget.
+    checkpoint_every: seconds between checkpoints, at least twenty times the time to write one.
     command: command line to record.
     keep: what to record in addition to the losses; see `Keep`.
-    target: picture to be found, (H, W, 3), which all runs of a comparison have; None: that of the
-        task, which is kept in `out`.
+    target: picture to be found, (H, W, 3), which all runs of a comparison have; None: the task's.
 
     Raises OptionError, ImageError, RunDirectoryError, CheckpointError and other ValueErrors;
     OSError if `out` cannot be written; ImportError if the task needs a package that is not there;
@@ -116,13 +110,16 @@ def prepare(
     settings = settings_of(
         task, target, optimizer, judge.name, budget, seed, task_options, options, keep
     )
-    searcher = _make_optimizer(optimizer, task, target, loss, seed, budget, search_options)
+    searcher = make_optimizer(optimizer, task, target, loss, seed, budget, search_options)
     record, directory = Record(), None
     if out is not None:
-        may_change = () if "budget" in optimizers.options(optimizer) else ("budget",)
+        versions = of_files({TaskInfo.of(task).name: fingerprint_of(task)}) | of_models(options)
+        if isinstance(optimizer, str):
+            versions |= of_files({optimizer: optimizers.source_of(optimizer)})
+        versions |= of_weights(searcher) | of_losses([judge, *metrics.values()])
         directory = RunDirectory(
-            out, settings, resume=resume, command=command, may_change=may_change,
-            sources=_sources(task, optimizer, options, searcher, [judge, *metrics.values()]),
+            out, settings, resume=resume, command=command, sources=versions,
+            may_change=() if "budget" in optimizers.options(optimizer) else ("budget",),
         )  # fmt: skip
         kept = None if file is None else kept_of(task, target)
         record, searcher = _started(directory, record, searcher, budget, kept)
@@ -145,23 +142,6 @@ def _check_optimizer(optimizer: Named, options: Mapping[str, Any], saved: bool) 
     check_names(options, given, "is an argument of the run, not an option of its optimizer")
 
 
-def _sources(
-    task: Task,
-    optimizer: Named,
-    options: Mapping[str, Any],
-    searcher: Optimizer,
-    losses: Sequence[ImageLoss],
-) -> dict[str, str]:
-    """Fingerprints of what a run depends on: the user's files, weights of networks, and losses.
-
-    searcher: what was made of `optimizer` and the options.
-    """
-    files = {TaskInfo.of(task).name: fingerprint_of(task)}
-    if isinstance(optimizer, str):
-        files[optimizer] = optimizers.source_of(optimizer)
-    return of_files(files) | of_models(options) | of_weights(searcher) | of_losses(losses)
-
-
 def _started(
     directory: RunDirectory,
     record: Record,
@@ -174,19 +154,18 @@ def _started(
     with ExitStack() as refused:
         refused.callback(directory.close)
         saved = directory.restore(lambda path: optimizers.load(name, path, device=device))
-        if saved is not None:
-            dim = searcher.dim
-            record, searcher = saved
-            if searcher.dim != dim:
-                raise CheckpointError(
-                    f"{directory.path}: an optimizer of {searcher.dim} parameters"
-                )
+        dim = searcher.dim
+        record, searcher = (record, searcher) if saved is None else saved
+        if searcher.dim != dim:
+            raise CheckpointError(f"{directory.path}: an optimizer of {searcher.dim} parameters")
         if record.evaluations > budget:
             raise OptionError(
                 f"the run in {directory.path} has {record.evaluations} renders already, and the "
                 f"budget is {budget}: give at least as many, or name another directory"
             )
-        directory.begin(kept)
+        if kept is not None:
+            write_target(directory.path / TARGET_FILE, kept)
+        directory.write_run()
         refused.pop_all()
     return record, searcher
 
@@ -249,7 +228,7 @@ def settings_of(
     return settings
 
 
-def _make_optimizer(
+def make_optimizer(
     optimizer: Named,
     task: Task,
     target: Float32,
@@ -258,6 +237,7 @@ def _make_optimizer(
     budget: int,
     options: dict[str, Any],
 ) -> Optimizer:
+    """The optimizer for a task; it is told the budget if that is one of its options."""
     options = {"loss": loss, "seed": seed, **options}
     if "budget" in optimizers.options(optimizer):
         options = {"budget": budget, **options}
@@ -271,10 +251,7 @@ def kept_of(task: Task, target: Float32) -> KeptTarget:
 
 
 def target_of(task: Task, file: Path | None = None) -> Float32:
-    """The target of a task: the one that is kept in the file, if the task still has it.
-
-    A target from the same source is not rendered again, since noise may be in it.  Any other is
-    made again, and must agree with the kept one but for rounding.
+    """The target of a task: the one kept in the file, if it is from the same source or equal to it.
 
     Raises RenderError if the renderer fails; CheckpointError if the file is damaged.
     """

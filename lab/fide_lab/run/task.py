@@ -47,19 +47,14 @@ class Task(Protocol):
 class TaskInfo:
     """Optional attributes of a task, with a default for each that it does not have.
 
-    name: by default that of its class.
-    seed: of the picture that it generates.
-    reference: function of a point (dim,) that gives an image (H, W, 3) without noise, by which the
-        result is judged.
-    incidental_options: names of options that leave every image as it is, such as workers.
-    renderer: name of what renders here, for a task whose images depend on what the machine has.
+    name: by default that of its class.  seed: of the picture that it generates.
+    reference: function of a point (dim,) that gives an image (H, W, 3) without noise, which judges.
+    incidental_options: names of options that leave every image as it is, such as threads.
+    renderer: name of what renders here, if images depend on it.
     search_space: named parameters, for an optimizer that handles integers and choices as such.
     piece: most candidates to render before their results are told; None: the loop's own number.
-    advice: function of the name of a loss that gives a sentence, for a user who would do better
-        with other settings, or None.
-    error: function of a point (dim,), how wrong it is; it judges a run whose target the renderer
-        did not draw, see `run.foreign`.  light: "none", "exposure" or "shading", what of the light
-        differs in such a target.
+    error: function of a point (dim,), how wrong it is, see `run.foreign`; light: "none", "exposure"
+        or "shading", what of the light differs in the target.
     """
 
     name: str
@@ -69,7 +64,6 @@ class TaskInfo:
     renderer: str | None = None
     search_space: Space | None = None
     piece: int | None = None
-    advice: Callable[[str], str | None] | None = None
     error: Callable[[Float64], float] | None = None
     light: str = "none"
 
@@ -88,14 +82,11 @@ _OF_COMMAND = (*_OF_BOTH, "command", "timeout")
 class RendererTask:
     """Task whose target is the image of random parameters, or a picture.
 
-    name: of the task.
-    renderer: function of a dictionary of parameters that returns an image (H, W, C) or (H, W); of
-        x, (dim,) in [0, 1], where `space` is a number.
-    space: the parameters; or their number.
+    renderer: function of a dictionary of parameters, or of x (dim,) in [0, 1] where `space` is a
+        number, that returns an image (H, W, C) or (H, W).
     seed: chooses the parameters, which are uniform in the unit cube.
-    picture: target instead of that of random parameters, as `validation.images.as_target` takes it.
+    picture: target instead of that of random parameters.
 
-    search_space: `space`, for optimizers that handle integers and choices as such.
     x_star: (dim,), the parameters of the target, integers and choices in the middle of their cells;
         None for a picture.
     """
@@ -133,7 +124,6 @@ class RendererTask:
     def target(self) -> Float32:
         """Picture (H, W, 3); or the image of `x_star`, in the renderer's size.
 
-        One image is rendered: that of `x_star`, or of the middle of the cube, to compare sizes.
         Raises ImageError (a ValueError) for a picture of another size than the renderer's images.
         """
         if self._picture is None:
@@ -165,11 +155,7 @@ class RendererTask:
 
 
 def source_of_target(task: object) -> str | None:
-    """From which file, and from which parameters, a function renders the target of this task.
-
-    None for a picture, and for what a program or another task renders: nobody knows whether that
-    was changed.
-    """
+    """From which file and parameters a function renders the target; None where nobody knows."""
     if not isinstance(task, RendererTask) or task.x_star is None:
         return None
     file, space = task.fingerprint, task.search_space
@@ -192,10 +178,8 @@ def is_function(name: str, options: Mapping[str, Any]) -> bool:
 def make_renderer_task(name: str, seed: int, options: Mapping[str, Any]) -> RendererTask:
     """Task of the function ``FILE.py:NAME`` or ``module:NAME``; or of the program in `options`.
 
-    options: `space` is the path of a TOML file; without it the space is beside the function.
-        `target` is the path of a picture.  `command` is the template of a command line, see
-        `renderers.template`, and `timeout` the seconds until it is stopped; then the space is
-        required, and `name` is only a name.
+    options: `space`, path of a TOML file; `target`, path of a picture; `command`, a template, see
+        `renderers.template`, and `timeout` in seconds.
     """
     known = _OF_COMMAND if "command" in options else _OF_BOTH
     for option in options:

@@ -120,10 +120,7 @@ def _boards() -> list[dict[str, Any]]:
 
 
 def _board(number: int, near: bool) -> Problem:
-    """A chessboard, from its photograph: pose, focal length, distortion and three grays.
-
-    Error: mean distance of its 54 corners from those that OpenCV detects, in pixels of 640 x 480.
-    """
+    """A chessboard, from its photograph: pose, focal length, distortion and three grays."""
     board, ranges = _boards()[number], dict(BOARD)
     target = _gray(_photograph("boards")[120 * number : 120 * (number + 1)] / np.float32(255))
     if near:
@@ -157,10 +154,7 @@ _HOMOGRAPHY = np.array(
 
 
 def _wall(number: int) -> Problem:
-    """A photograph of a painted wall, warped to another one: where its four corners lie.
-
-    Error: mean distance of the corners from those of the published homography, in pixels of 160.
-    """
+    """A photograph of a painted wall, warped to another one: where its four corners lie."""
     first, target = (_photograph(name) / np.float32(255) for name in ("graf1", "graf3"))
     reach, H = 0.55, _HOMOGRAPHY
     if number == 1:  # the other way round
@@ -198,11 +192,7 @@ _COIN = {"x": (20, 60), "y": (20, 60), "radius": (10, 38), "flat": (0.7, 1), "tu
 
 
 def _coin(number: int) -> Problem:
-    """A coin, from its photograph, as a flat disk: ellipse, gray with a slope, and the ground.
-
-    Error: the larger one of its center's and its mean radius' distance from those of a
-    segmentation, in pixels of 80.
-    """
+    """A coin, from its photograph, as a flat disk: ellipse, gray with a slope, and the ground."""
     cx, cy, radius = _COINS[number]
     shift = np.random.default_rng(number).uniform(-8, 8, 2)
     corner = np.clip(np.array([cx, cy]) - 40 + shift, 0, [384 - 80, 303 - 80])
@@ -290,10 +280,7 @@ def _pose(number: int, name: str, gap: str) -> Problem:
 
 
 def _courtyard(number: int, gap: str) -> Problem:
-    """Camera and lamp in the courtyard of `san_miguel`, 48 pixels.
-
-    Error: largest difference of the camera's parameters, in shares of their ranges.
-    """
+    """Camera and lamp in the courtyard of `san_miguel`, 48 pixels."""
     import fide_tasks
 
     task = fide_tasks.make("san_miguel", size=48, seed=_FIRST + number, spp=8)
@@ -309,11 +296,7 @@ def _courtyard(number: int, gap: str) -> Problem:
 
 
 def _povray(number: int, gap: str) -> Problem:
-    """The scene `povray` of `image-fitting-v1`, which needs the program.
-
-    Error: largest difference of camera and ball in shares of their ranges; 1 if the floor or the
-    number of columns is wrong.
-    """
+    """The scene `povray` of `image-fitting-v1`, which needs the program."""
     from fide_lab.suite.definition import read
     from fide_plugins.renderers import CommandRenderer
 
@@ -345,10 +328,7 @@ _BALL = {"azimuth": (-60, 60), "elevation": (8, 50), "x": (-1.5, 1.5), "z": (-1,
 
 
 def _ball(number: int, by: str) -> Problem:
-    """A ball on a checkered floor, drawn by POV-Ray or path traced by Mitsuba; ours casts one ray.
-
-    Error: largest difference of camera and ball, in shares of their ranges.
-    """
+    """A ball on a checkered floor, by POV-Ray or Mitsuba; error: of camera and ball, in shares."""
     space = _space(_BALL, periodic="sun")
     x = np.random.default_rng((number, 9)).uniform(0.15, 0.85, space.dim)
     true = space.decode(x)
@@ -364,10 +344,7 @@ def _ball(number: int, by: str) -> Problem:
 
 
 def _silhouette(number: int) -> Problem:
-    """A pose of `robot`, drawn by MuJoCo, by a model of eight plain capsules.
-
-    Error: mean distance of the joints and the tip from the true ones, in meters.
-    """
+    """A pose of `robot`, drawn by MuJoCo, by a model of eight plain capsules."""
     import fide_tasks
     from fide_tasks import panda
 
@@ -393,11 +370,7 @@ def _silhouette(number: int) -> Problem:
 
 
 def _texture(number: int) -> Problem:
-    """Scale, contrast and colors of a noise whose realization is another one.
-
-    Error: the larger one of the errors of log scale, in units of 0.1, and of the two colors, in
-    units of 0.03.
-    """
+    """Scale, contrast and colors of a noise whose realization is another one."""
     x = np.random.default_rng(900 + number).uniform(0.15, 0.85, renderers.TEXTURE_DIM)
     true = renderers.texture_values(x)
 
@@ -421,10 +394,7 @@ _RINGS = {"dist": (0.13, 0.3), "poni1": (0.04, 0.14), "poni2": (0.01, 0.11), "ro
 
 
 def _rings(number: int) -> Problem:
-    """Thin powder rings on a tilted detector, with noise of counting and a beam stop.
-
-    Error: largest difference of distance, beam center and tilt, in shares of their ranges.
-    """
+    """Thin powder rings on a tilted detector, with noise of counting and a beam stop."""
     space = _space(_RINGS)
     rng = np.random.default_rng((number, 7))
     x = rng.uniform(0.25, 0.75, space.dim)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -62,8 +62,7 @@ def write(results: Results, page: str | os.PathLike[str]) -> Written:
 def write_scores(found: Scores, origin: Origin, page: str | os.PathLike[str]) -> Written:
     """Write the page, report.md, solved.csv and figures/ into one folder.
 
-    page: path of report.html.  For another name, the names of the other files start with it:
-        a.html, a.md, a-solved.csv.
+    page: path of report.html.  For another name, the names of the other files start with it.
 
     Raises OptionError (a ValueError) for a page without the suffix .html, DependencyError (an
     ImportError) without Jinja2, OSError if a file cannot be written.
@@ -72,43 +71,30 @@ def write_scores(found: Scores, origin: Origin, page: str | os.PathLike[str]) ->
     names = list(found.labels)  # with all options: pages of a suite are put beside one another
     tables = [totals(found, names), by_scene(found, names), lowest(found, names)]
     said = [_part(found), *remarks(found)]
-    figure = plots.png(data_profile_figure(found, names))
-    profile = Picture("data-profile", "Share of problems solved within so many renders", figure)
+    title = "Share of problems solved within so many renders"
+    profile = Picture("data-profile", title, plots.png(data_profile_figure(found, names)))
+    scenes = [found.suite.scenes[name] for name in found.scenes]
+    thresholds = Table(
+        "What counts as solved",
+        [("scene", ""), ("group", "kind of scene"), ("loss", ""), ("solved at", "")],
+        [(s.name, s.group, s.loss, f"{s.solved:g}") for s in scenes],
+    )
+    facts = (
+        f"{counted(len(names), 'optimizer')}, {counted(len(found.problems), 'problem')} of "
+        f"{counted(len(scenes), 'scene')}, read at {', '.join(map(number, found.budgets))} renders."
+    )
+    sections = [Section(table.caption, tables=[table]) for table in [*tables, thresholds]]
     Document(
         f"Suite {found.suite.name}",
-        [*said, f"{_facts(found)}."],
+        [*said, facts],
         origin.calls,
-        [
-            Section("Share of problems solved within so many renders", pictures=[profile]),
-            *(Section(table.caption, tables=[table]) for table in [*tables, _thresholds(found)]),
-        ],
+        [Section(title, pictures=[profile]), *sections],
         _METHOD,
         {**origin.machine, **origin.versions},
     ).write(path)
     files.write_text(companion(path, "solved.csv"), _csv(found))
     shown = "\n\n".join(map(plain, tables))
     return Written(path, "\n".join(said) + f"\n\n{shown}\n")
-
-
-def _thresholds(found: Scores) -> Table:
-    columns = (
-        ("scene", "name in the suite"),
-        ("group", "kind of scene"),
-        ("loss", "that is minimized"),
-        ("solved at", "the loss from which on a problem counts as solved"),
-    )
-    scenes = [found.suite.scenes[name] for name in found.scenes]
-    rows = [(s.name, s.group, s.loss, f"{s.solved:g}") for s in scenes]
-    return Table("What counts as solved", columns, rows)
-
-
-def _facts(found: Scores) -> str:
-    optimizers, problems = len(found.labels), len(found.problems)
-    budgets = ", ".join(map(number, found.budgets))
-    return (
-        f"{counted(optimizers, 'optimizer')}, {counted(problems, 'problem')} of "
-        f"{counted(len(found.scenes), 'scene')}, read at {budgets} renders"
-    )
 
 
 def _part(found: Scores) -> str:
@@ -182,11 +168,7 @@ def _by_budget(
     counted: Sequence[NDArray[Any]],
     values: Sequence[Float64],
 ) -> Table:
-    """A row an optimizer: for each budget its count, and p against the one that has most.
-
-    counted: (P, S) for each budget, 1 for a problem that counts.
-    values: (P, S) for each budget, what the test compares; the higher the better.
-    """
+    """A row an optimizer: for each budget how many problems count, and p by the sign test."""
     columns = [("optimizer", "name and options")]
     rows: list[list[str]] = [[name] for name in names]
     for budget, counts, value in zip(found.budgets, counted, values, strict=True):
@@ -200,9 +182,8 @@ def _by_budget(
         for s, row in enumerate(rows):
             text = f"{sums[s]:.0f}"
             row.append(Strong(text) if sums[s] == sums.max() > 0 else text)
-            ahead, behind = ((a > b).sum() for a, b in ((value[:, best], value[:, s]),
-                                                        (value[:, s], value[:, best])))  # fmt: skip
-            row.append(f"{of[s]:.2g} ({ahead} : {behind})" if s in of else "")
+            more, less = (value[:, best] > value[:, s]).sum(), (value[:, best] < value[:, s]).sum()
+            row.append(f"{of[s]:.2g} ({more} : {less})" if s in of else "")
     return Table(caption, columns, rows)
 
 
@@ -239,24 +220,19 @@ def remarks(found: Scores) -> list[str]:
     said = sentences.not_shown(found.not_shown)
     failed = [(label, problem, "failed") for label, problem in found.failed]
     for what, runs in (("Failed runs count as unsolved", failed), ("Left out", found.left_out)):
-        if runs:
-            problems = counted(len({problem for _, problem, _ in runs}), "problem")
-            said.append(f"{what}, {problems}: {_listed(runs)}.")
+        of: dict[tuple[str, str], list[str]] = {}
+        for label, problem, status in runs:
+            of.setdefault((label, status), []).append(problem)
+        parts = []
+        for (label, status), problems in of.items():
+            more = f" and {len(problems) - _SHOWN} more" if len(problems) > _SHOWN else ""
+            parts.append(f"{label} ({status}) on {', '.join(problems[:_SHOWN])}{more}")
+        if parts:
+            several = counted(len({problem for _, problem, _ in runs}), "problem")
+            said.append(f"{what}, {several}: {'; '.join(parts)}.")
     if any(status == "not planned" for _, _, status in found.left_out):
         said.append(
             "fide compare --resume adds runs, fide report --optimizers A,B shows only these "
             "optimizers."
         )
     return said
-
-
-def _listed(runs: Iterable[tuple[str, str, str]]) -> str:
-    """Problems by optimizer and status, the first few by name; runs: all three of each."""
-    of: dict[tuple[str, str], list[str]] = {}
-    for label, problem, status in runs:
-        of.setdefault((label, status), []).append(problem)
-    parts = []
-    for (label, status), problems in of.items():
-        more = f" and {len(problems) - _SHOWN} more" if len(problems) > _SHOWN else ""
-        parts.append(f"{label} ({status}) on {', '.join(problems[:_SHOWN])}{more}")
-    return "; ".join(parts)

@@ -1,9 +1,7 @@
 """Renders to solve each problem of a suite, of the results of a comparison.
 
-A run that failed has solved nothing: its optimizer must not gain by failing.  A problem with a
-missing or unfinished run is left out, since it would say nothing of one optimizer.  A run is also
-missing where it was never planned: calls of `fide compare` add scenes, targets and optimizers, and
-need not add all of their combinations.
+A run that failed has solved nothing.  A problem with a missing, unfinished or unplanned run is left
+out, since it would say nothing of one optimizer.
 """
 
 from __future__ import annotations
@@ -13,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from fide_lab.compare.results import AllFailedError, NoResultsError, Results, StoredRun
+from fide_lab.compare.results import NoResultsError, Results, StoredRun
 from fide_lab.suite.definition import Suite, read
 from fide_plugins.types import Float64
 
@@ -69,13 +67,18 @@ def scores(results: Results) -> Scores:
     Raises NoResultsError (a FileNotFoundError) if no problem is finished by all, AllFailedError
     (one of them) if runs failed and none is finished.
     """
-    AllFailedError.check(results)
+    results.check()
     suite = read(results.settings["task_options"]["suite"])
     labels = tuple(results.optimizers)
     table: dict[str, dict[str, StoredRun]] = {}
     for run in results.runs:
         table.setdefault(run.key.task, {})[run.key.configuration] = run
-    left_out = _left_out(table, labels)
+    every = (
+        (label, problem, runs[label].state if label in runs else "not planned")
+        for label in labels
+        for problem, runs in table.items()
+    )
+    left_out = tuple(one for one in every if one[2] not in ("finished", "failed"))
     open_ = {problem for _, problem, _ in left_out}
     whole = {problem: runs for problem, runs in table.items() if problem not in open_}
     if not whole:
@@ -88,36 +91,26 @@ def scores(results: Results) -> Scores:
     failed = tuple((r.key.configuration, r.key.task) for r in ended if r.curve is None)
     most = int(results.settings["budget"])
     budgets = (*(b for b in suite.budgets if b < most), most)
-    t = np.array([[_renders(suite, run) for run in row] for row in rows])
-    losses = np.array([[[_loss(suite, run, b) for run in row] for row in rows] for b in budgets])
+    t, losses = np.full((len(rows), len(labels)), np.inf), []
+    for b in budgets:
+        lowest = np.full(t.shape, np.inf)
+        for at, run in np.ndenumerate(np.array(rows, object)):
+            scene, _ = suite.problem(run.key.task)
+            if run.curve is not None:
+                t[at] = run.curve.reaches("renders", scene.solved, scene.metric)
+                lowest[at] = run.curve.loss_at("renders", b, scene.metric)
+        losses.append(lowest)
     return Scores(
-        suite, labels, tuple(whole), budgets, t, losses, failed, left_out, results.not_shown
+        suite,
+        labels,
+        tuple(whole),
+        budgets,
+        t,
+        np.array(losses),
+        failed,
+        left_out,
+        results.not_shown,
     )
-
-
-def _left_out(
-    table: dict[str, dict[str, StoredRun]], labels: tuple[str, ...]
-) -> tuple[tuple[str, str, str], ...]:
-    """`Scores.left_out` of runs by problem and optimizer."""
-    every = (
-        (label, problem, runs[label].state if label in runs else "not planned")
-        for label in labels
-        for problem, runs in table.items()
-    )
-    return tuple(one for one in every if one[2] not in ("finished", "failed"))
-
-
-def _renders(suite: Suite, run: StoredRun) -> float:
-    if run.curve is None:
-        return np.inf
-    scene, _ = suite.problem(run.key.task)
-    return run.curve.reaches("renders", scene.solved, scene.metric)
-
-
-def _loss(suite: Suite, run: StoredRun, renders: int) -> float:
-    if run.curve is None:
-        return np.inf
-    return run.curve.loss_at("renders", renders, suite.problem(run.key.task)[0].metric)
 
 
 def data_profile(t: Float64, renders: npt.ArrayLike) -> Float64:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import nevergrad as ng
 import numpy as np
 import pytest
 
@@ -13,7 +12,7 @@ from fide_adapters.nevergrad import ImageLoss
 from fide_plugins.errors import ImageError
 from fide_plugins.fide import FIDE
 
-from .conftest import TARGET, box, fide, mse, objective, render
+from .conftest import TARGET, fide, mse, objective, render
 
 RESULTS: dict[str, Any] = {
     "ImageLoss": objective,
@@ -34,12 +33,6 @@ def test_point_23_results(kind: str) -> None:
     assert optimizer.num_objectives == 1
     assert optimizer.num_images == (30 if kind in ("ImageLoss", "image", "pair") else 0)
     assert best.loss == pytest.approx(mse(render(best.value)), rel=1e-6)
-
-
-def test_another_optimizer_takes_an_image_loss_for_its_loss() -> None:
-    optimizer = ng.optimizers.OnePlusOne(box(), budget=20)
-    best = optimizer.minimize(objective)
-    assert type(best.loss) is float and best.loss == mse(render(best.value))
 
 
 def test_point_23_late_and_unknown_points_count_as_in_fide() -> None:
@@ -134,30 +127,6 @@ def test_point_23_failures_rank_last_and_teach_nothing(loss: float) -> None:
         assert np.isfinite(optimizer.ask().value).all()
 
 
-@pytest.mark.filterwarnings("ignore::nevergrad.common.errors.NevergradWarning")
-@pytest.mark.parametrize("told", [lambda loss: loss, lambda loss: [loss], np.array])
-@pytest.mark.parametrize("loss", [math.nan, math.inf, -math.inf])
-def test_a_failure_is_not_recommended(loss: float, told: Any) -> None:
-    """Nevergrad keeps the same best candidate as the search, also among those told twice."""
-    optimizer, calls = fide(budget=40), 0
-
-    def fails(x: Any) -> Any:
-        nonlocal calls
-        calls += 1
-        return (told(loss), render(x)) if calls in (1, 20) else objective(x)
-
-    seen: list[float] = []
-    optimizer.register_callback("tell", lambda _, c, loss: seen.append(loss))
-    best = optimizer.minimize(fails)
-    assert best.loss == min(seen) == pytest.approx(optimizer.fide.best.loss)
-    np.testing.assert_allclose(best.value, optimizer.fide.best.x, atol=1e-9)
-    assert seen[0] == seen[19] == max(seen) == 5e20  # as Nevergrad has failures
-    assert optimizer.optim_curve[0] == (0, 5e20)
-    for name in ("optimistic", "pessimistic", "average", "minimum"):
-        assert optimizer.current_bests[name].parameter is best
-    assert optimizer.num_objectives == 1 and optimizer.fide.not_finite == 2
-
-
 def test_point_23_an_objective_that_fails_can_be_mended() -> None:
     """Nevergrad raises it; after that the search goes on, without that candidate."""
     optimizer, broken = fide(budget=20), [True]
@@ -184,11 +153,3 @@ def test_another_target_keeps_the_mask() -> None:
     np.testing.assert_array_equal(optimizer.fide.weights, mask)
     with pytest.raises(ImageError, match="size"):
         fide(mask=mask).target = np.zeros((8, 8, 3))
-
-
-def test_a_range_of_values_stays_with_another_target() -> None:
-    optimizer = fide(target=10 * TARGET - 3, value_range=(-3, 17))
-    np.testing.assert_allclose(optimizer.target, 10 * TARGET - 3, atol=1e-5)
-    optimizer.target = 8 * TARGET - 3
-    optimizer.tell(optimizer.ask(), 8 * TARGET - 3)
-    assert optimizer.recommend().loss < 1e-12

@@ -126,15 +126,6 @@ def test_other_parameters_are_those_of_a_space(kind: str) -> None:
         np.testing.assert_allclose(cube.point(candidate), snapped, atol=1e-9)
 
 
-@pytest.mark.parametrize("kind", ["whole", "whole, log", "whole, log, odd", "ordered", "angles"])
-def test_the_ends_of_a_range_are_reached(kind: str) -> None:
-    parametrization, kinds = VALUES[kind]
-    cube = Cube(parametrization)
-    for end, bound in ((0.0, kinds[0].low), (1.0, kinds[0].high)):
-        leaf = helpers.list_data(cube.candidate(np.full(len(kinds), end)))[0]
-        np.testing.assert_allclose(np.ravel(leaf.value), bound)
-
-
 def test_a_choice_that_a_user_has_made_is_where_the_search_begins() -> None:
     parametrization = P.Dict(
         a=P.Choice(["a", "b", "c"]),

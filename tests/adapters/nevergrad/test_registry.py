@@ -14,7 +14,7 @@ import fide_adapters.nevergrad as door
 from fide_adapters.nevergrad import FIDE, ParametrizedFIDE
 from fide_plugins.errors import ImageError, OptionError, ProtocolError, UnknownNameError
 
-from .conftest import TARGET, box, fide, told
+from .conftest import TARGET, box, fide
 
 PROBE = """
 import sys
@@ -102,16 +102,6 @@ def test_point_19_bad_settings() -> None:
         ParametrizedFIDE(seed=-1)
     with pytest.raises(ImageError, match="target"):
         ParametrizedFIDE(target=np.zeros(3))
-
-
-def test_point_19_settings_reach_the_search() -> None:
-    options = {"buffer_generations": 2, "restarts": "none"}
-    optimizer = fide(preset="fast", popsize=9, encoder="patch", options=options)
-    told(optimizer, 1)
-    made = optimizer.fide
-    assert (made.popsize, made.options.encoder, made.options.restarts) == (9, "patch", "none")
-    proposal = made.options.proposal
-    assert (proposal.buffer_generations, proposal.channel_subsets) == (2, (3,))
 
 
 def test_the_target_may_be_set_until_the_search_begins() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import pickle
 import random
 import threading
@@ -16,11 +15,11 @@ import numpy as np
 import pytest
 import torch
 
-from fide_adapters.nevergrad import FIDE as REGISTERED, NoImagesWarning, ParametrizedFIDE
+from fide_adapters.nevergrad import FIDE as REGISTERED, NoImagesWarning
 from fide_plugins.errors import ProtocolError
 from fide_plugins.types import Float32, Float64
 
-from .conftest import TARGET, box, fide, mse, objective, render, told
+from .conftest import box, fide, render, told
 
 
 def test_without_a_target_it_says_so_once() -> None:
@@ -34,25 +33,6 @@ def test_without_a_target_it_says_so_once() -> None:
 
 def never(x: Any) -> bool:
     return False
-
-
-@pytest.mark.filterwarnings("ignore:Clipping very high value", "ignore:Could not bypass")
-@pytest.mark.parametrize("how", ["failed", "violation", "constraint"])
-def test_invalid_candidates_have_no_image_and_are_no_reason_to_warn(how: str) -> None:
-    """The first ones, more than a generation, are all invalid; each valid one has its image."""
-    optimizer = fide(budget=200)
-    if how == "constraint":
-        optimizer.parametrization.register_cheap_constraint(never)
-    for _ in range(12):
-        candidate = optimizer.ask()
-        violation = [1.0] if how == "violation" else None
-        optimizer.tell(candidate, math.inf if how == "failed" else 1.0, violation)
-    if how == "constraint":
-        return
-    for _ in range(10):
-        candidate = optimizer.ask()
-        optimizer.tell(candidate, render(candidate.value))
-    assert optimizer.num_images == 10
 
 
 def run(seed: int, parametrization: Any) -> list[Float64]:
@@ -179,26 +159,3 @@ def test_point_22_with_running_futures(tmp_path: Path) -> None:
         copy.minimize(slow, executor=executor)
     assert copy.num_tell == copy.num_ask == 40
     np.testing.assert_allclose(copy.recommend().value, original.recommend().value)
-
-
-def test_a_dump_goes_on_with_the_settings_it_was_made_with(tmp_path: Path) -> None:
-    settings = ParametrizedFIDE(target=TARGET, loss="perceptual", popsize=7, seed=1)
-    original = settings(box(), budget=30)
-    told(original, 9)
-    original.dump(tmp_path / "dump")
-    copy = settings.load(tmp_path / "dump")
-    a, b = original.ask(), copy.ask()
-    image = render(np.full(6, 0.4))
-    original.tell(a, image)
-    copy.tell(b, image)
-    assert a.loss == b.loss != pytest.approx(mse(image))
-    assert copy._configured_optimizer == settings
-    with pytest.raises(AssertionError):
-        ng.optimizers.OnePlusOne.load(tmp_path / "dump")
-
-
-def test_dumping_changes_nothing(tmp_path: Path) -> None:
-    dumped, other = fide(budget=30), fide(budget=30)
-    dumped.register_callback("tell", ng.callbacks.OptimizerDump(tmp_path / "dump"))
-    one, two = dumped.minimize(objective), other.minimize(objective)
-    np.testing.assert_array_equal(one.value, two.value)

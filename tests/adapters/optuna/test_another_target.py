@@ -56,20 +56,6 @@ def test_losses_of_another_problem_are_left_out_with_one_warning(bench: Bench, w
     assert len(set(problems_of(later)[:30])) == len(set(problems_of(later)[30:])) == 1
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_another_target_is_found_as_in_a_new_study(bench: Bench, seed: int) -> None:
-    target = bench.render(ELSEWHERE)
-    study = optuna.create_study(sampler=bench.sampler(seed=seed))
-    bench.run(study, 100)
-    later = goes_on(study, bench.sampler(seed=seed, target=target))
-    with pytest.warns(RuntimeWarning, match="another target"):
-        bench.run(later, 100)
-    new = optuna.create_study(sampler=bench.sampler(seed=seed, target=target))
-    bench.run(new, 100)
-    found = min(trial.value for trial in later.trials[100:] if trial.value is not None)
-    assert found < 100 * new.best_value and found < 1e-3
-
-
 def test_workers_with_two_targets_do_not_disturb_each_other(bench: Bench) -> None:
     """Also not by what their records say of when a search began."""
     first = optuna.create_study(sampler=bench.sampler(patience=2, search_space=bench.space))

@@ -13,7 +13,7 @@ from optuna.samplers import RandomSampler
 from optuna.trial import FixedTrial, Trial
 from PIL import Image
 
-from fide_adapters.optuna import ImageLoss, ImageRef, image_objective
+from fide_adapters.optuna import ImageLoss, image_objective
 from fide_plugins.errors import LossError, ProtocolError
 
 from .conftest import Bench, counts_of
@@ -28,14 +28,11 @@ def test_point_17_a_bad_loss_changes_nothing(bench: Bench, loss: Any) -> None:
     assert not study.trials[0].system_attrs
 
 
-@pytest.mark.parametrize("kind", ["image", "pair", "image loss", "file", "lists"])
-def test_image_objectives(bench: Bench, kind: str, tmp_path: Any) -> None:
+@pytest.mark.parametrize("kind", ["image", "pair", "image loss", "lists"])
+def test_image_objectives(bench: Bench, kind: str) -> None:
     def render(trial: Trial) -> Any:
         image = bench.render(bench.suggest(trial))
         loss = float(np.square(image.astype(np.float64) - bench.target).mean())
-        if kind == "file":
-            np.save(tmp_path / "image.npy", image)
-            return ImageLoss(loss, ImageRef(tmp_path / "image.npy"))
         if kind == "lists":
             return image.tolist()
         return {"image": image, "pair": (loss, image), "image loss": ImageLoss(loss, image)}[kind]

@@ -157,13 +157,6 @@ def test_whatever_is_in_the_storage_the_search_goes_on(
     assert not RAN.exists()
 
 
-def test_the_payload_would_have_been_noticed() -> None:
-    with pytest.raises(FileNotFoundError):
-        RAN.rmdir()
-    pickle.loads(PICKLE)
-    RAN.rmdir()
-
-
 # -- one at a time ---------------------------------------------------------------------------------
 
 

@@ -198,22 +198,3 @@ def test_others_say_whether_images_guide_the_next_search(bench: Bench) -> None:
                 parted.tell(*entry, generation=generation, slot=slot, over=over)
         assert stages(following) == stages(one) and following.guided == one.guided
     assert one.guided and stages(parted) != stages(one)
-
-
-def test_a_test_has_its_own_candidates_again_in_further_slots(bench: Bench) -> None:
-    """Trials whose slots were never given to anybody, or failed, cut no test short."""
-    replica = Replica(bench.optimizer())
-    while stages(replica)[0] != "exchange":
-        run(bench, replica, 1)
-        for slot in range(1, replica.size):
-            bench.told(replica, slot)
-    size, generation = replica.size, replica.generation
-    for slot in range(3, size):
-        assert bench.told(replica, slot) is Role.MEMBER
-    for slot in (size + 5, 2 * size + 4):  # again, and it is not needed
-        assert bench.told(replica, slot) is Role.LATE
-    for slot in (size + 1, 2 * size, 10**6 * size + 2):
-        assert replica.generation == generation
-        np.testing.assert_array_equal(replica.candidate(slot).x, replica.candidate(slot % size).x)
-        assert bench.told(replica, slot) is Role.MEMBER
-    assert replica.generation == generation + 1

@@ -40,29 +40,6 @@ def test_wrong_settings(bench: Bench, what: str) -> None:
     assert isinstance(caught.value, ValueError)
 
 
-def test_without_a_target_the_loss_of_an_image_counts(bench: Bench) -> None:
-    """The image does not, which is warned of once."""
-
-    def points(told: str) -> list[dict[str, Any]]:
-        sampler = FIDESampler(seed=0, popsize=4)
-
-        def objective(trial: optuna.Trial) -> float:
-            x = bench.suggest(trial)
-            if told == "loss":
-                return sum(x)
-            return sampler.tell_image(trial, bench.render(x), loss=sum(x))
-
-        study = optuna.create_study(sampler=sampler)
-        study.optimize(objective, n_trials=12)
-        assert counts_of(study)["image"] == 0
-        return [{**trial.params, "value": trial.value} for trial in study.trials]
-
-    alone = points("loss")
-    with pytest.warns(RuntimeWarning, match="no target, .* uses no images; make it") as caught:
-        assert points("image") == alone
-    assert len(caught) == 1
-
-
 def test_without_a_target_what_is_told_is_checked(bench: Bench) -> None:
     sampler = FIDESampler()
     trial = optuna.create_study(sampler=sampler).ask()

@@ -94,18 +94,3 @@ def test_a_sampler_goes_on_through_another_connection(
     bench.run(later, 10)
     assert counts_of(later) == {"member": 20, "image": 20}
     np.testing.assert_array_equal(bench.points(later), alone(bench, 20))
-
-
-def test_studies_in_turn_are_not_read_again_and_few_are_kept(bench: Bench) -> None:
-    sampler = bench.sampler()
-    studies = [optuna.create_study(sampler=sampler) for _ in range(2)]
-    for _ in range(15):
-        for study in studies:
-            bench.run(study, 1)
-    for study in studies:
-        np.testing.assert_array_equal(bench.points(study), alone(bench, 15))
-    sizes = []
-    for _ in range(6):
-        bench.run(optuna.create_study(sampler=sampler), 15)
-        sizes.append(len(pickle.dumps(sampler)))
-    assert sizes[1] > 1.2 * sizes[0] and sizes[5] < 1.1 * sizes[2]

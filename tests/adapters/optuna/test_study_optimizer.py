@@ -15,7 +15,6 @@ from fide_adapters.optuna import FIDESampler
 from fide_adapters.optuna.replica import Replica
 from fide_adapters.optuna.study import StudyOptimizer
 from fide_plugins import FIDE
-from fide_plugins.types import Float64
 
 from .conftest import Bench, counts_of, state_of
 
@@ -233,31 +232,6 @@ def test_workers_without_a_seed_share_one(bench: Bench) -> None:
     learned = beliefs([optimizer_of(study) for study in studies])
     assert learned[0] == learned[1] == learned[2]
     assert learned[0][2].get("altered", 0) == 0
-
-
-def test_workers_with_seeds_of_their_own_still_learn_from_each_other(bench: Bench) -> None:
-    studies = workers_of_one_study(bench, [0, 1])
-    for _ in range(40):
-        for study in studies:
-            bench.run(study, 1)
-    counts = optimizer_of(studies[0]).counts
-    assert counts["altered"] > 0 and counted(optimizer_of(studies[0])) == 80
-    assert studies[0].best_value < 5e-3
-
-
-def test_point_9_a_batch_told_in_reverse(bench: Bench) -> None:
-    """Sixty trials asked at once, and told from the last to the first."""
-    study = optuna.create_study(sampler=bench.sampler(search_space=bench.space))
-    sampler = bench.sampler_of(study)
-    trials: list[tuple[Trial, Float64]] = []
-    for _ in range(60):
-        trial = study.ask()
-        trials.append((trial, np.array(bench.suggest(trial))))
-    for trial, x in reversed(trials):
-        study.tell(trial.number, sampler.tell_image(trial, bench.render(x)))
-    bench.run(study, 1)
-    assert counted(optimizer_of(study)) == 61
-    assert not state_of(study).features
 
 
 def test_point_9_a_batch_of_an_unknown_space(bench: Bench) -> None:

@@ -7,8 +7,6 @@ import optuna
 import pytest
 from optuna.trial import Trial, TrialState
 
-from fide_adapters.optuna import FIDESampler
-
 from .conftest import Bench, asked_by_core, counts_of, state_of
 
 
@@ -77,15 +75,3 @@ def test_point_10_any_result_is_survived(bench: Bench, bad: str) -> None:
     assert counts.get("left out", 0) == failed == (20 if bad in ("fail", "pruned", "nan") else 0)
     assert counts["member"] + counts.get("injected", 0) == 110 - failed
     assert not state_of(study).features
-
-
-def test_a_sampler_that_has_asked_nothing_counts_too(bench: Bench) -> None:
-    study = optuna.create_study(sampler=bench.sampler())
-    bench.run(study, 20)
-    study.enqueue_trial(dict.fromkeys(bench.names, 0.5))
-    bench.run(study, 1)
-    newcomer: FIDESampler = bench.sampler()
-    counts = newcomer.counts(study)
-    assert counts["image"] == 21 and counts["injected"] == 1
-    assert counts["member"] + counts.get("altered", 0) == 20
-    assert newcomer.counts(optuna.create_study(sampler=newcomer)) == {}

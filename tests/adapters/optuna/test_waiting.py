@@ -78,11 +78,6 @@ def test_a_hundred_workers_are_waited_for(dies: float) -> None:
     assert len(found) > 100 if dies else not found
 
 
-def test_the_dead_do_not_lengthen_the_wait() -> None:
-    found = skipped(4, 600, 0.1, dies=0.4)
-    assert all(found) and len(found) > 200
-
-
 def test_times_of_another_zone_and_none_at_all_are_survived() -> None:
     study = [running(i, i, UTC if i % 2 else None) for i in range(40)]
     for trial in study[1:]:

@@ -12,13 +12,11 @@ from torch import Tensor
 from fide_lab.baselines.dibo import (
     DiBO,
     Diffusion,
-    Ensemble,
     Round,
     RoundOptions,
     program_likelihood,
     trajectory_balance,
 )
-from fide_lab.baselines.zerograds import make
 from fide_plugins.errors import OptionError
 
 DOUBLE = torch.float64
@@ -88,17 +86,6 @@ def test_the_likelihood_of_the_program_is_its_odes_the_other_way_round() -> None
     torch.testing.assert_close(found - without, torch.full_like(x[:, 0], gained))
 
 
-def test_its_time_runs_from_the_clean_end_to_the_noisy_one() -> None:
-    seen: list[float] = []
-
-    def predict(x: Tensor, t: Tensor) -> Tensor:
-        seen.append(float(t[0]))
-        return 0 * x
-
-    program_likelihood(predict, torch.zeros(2, 3, dtype=DOUBLE), 30)
-    assert seen[0] == 1.0 and seen[-1] == 0.0 and sorted(seen, reverse=True) == seen
-
-
 def test_the_ratio_of_chains_is_that_of_their_transition_laws() -> None:
     diffusion = Diffusion(5, DOUBLE)
     p, q = NormalData(diffusion, 1.0), NormalData(diffusion, 0.2)
@@ -123,14 +110,6 @@ def test_trajectory_balance_is_zero_at_its_optimum_and_only_there() -> None:
     assert loss.item() < 1e-30 and log_z.grad is not None and abs(log_z.grad) < 1e-15
     off = trajectory_balance(log_z, ratio, reward + 2.0, alpha=0.1)
     torch.testing.assert_close(off, torch.tensor(2.0, dtype=DOUBLE))
-
-
-def test_the_reward_is_higher_where_the_ensemble_disagrees() -> None:
-    ensemble = make(lambda: Ensemble(3, 16, gamma=2.0), seeded(), DOUBLE)
-    x = torch.rand(6, 3, generator=seeded(), dtype=DOUBLE)
-    values = torch.stack([member(x)[:, 0] for member in ensemble.members])
-    torch.testing.assert_close(ensemble(x), values.mean(0) + 2.0 * values.std(0))
-    assert sum(p.numel() for p in ensemble.parameters()) == 5 * (4 * 16 + 3 * 17 * 16 + 17)
 
 
 def small_round(**changes: Any) -> Round:
@@ -173,21 +152,6 @@ def test_the_buffer_keeps_the_best() -> None:
     for i in range(3):
         opt.tell(opt.ask(), losses=losses[20 * i : 20 * i + 20])
     np.testing.assert_array_equal(opt._values, np.sort(losses)[:50])
-
-
-@pytest.mark.thorough
-def test_it_minimizes() -> None:
-    tiny = {"width": 16, "proxy_width": 32, "diffusion_steps": 6, "batch": 32, "proposals": 2}
-    epochs = {"proxy_epochs": 20, "prior_epochs": 10, "posterior_epochs": 3, "search_epochs": 10}
-    options: dict[str, Any] = {"popsize": 20, "initial": 60, **tiny, **epochs}
-    opt = DiBO(3, seed=0, **options)
-    medians = []
-    while opt.evaluations < 120:
-        X = opt.ask()
-        losses = ((X - 0.7) ** 2).sum(axis=1)
-        opt.tell(X, losses=losses)
-        medians.append(float(np.median(losses)))
-    assert max(medians[3:]) < 0.7 * np.mean(medians[:3])  # of the rounds, and of uniform points
 
 
 @pytest.mark.parametrize(

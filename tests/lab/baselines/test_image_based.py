@@ -59,17 +59,6 @@ def test_samples_lie_in_the_unit_cube_and_repeat_with_the_seed() -> None:
     assert first.max() <= 1
 
 
-def test_a_state_before_training_is_put_back_whole() -> None:
-    fresh, used = (PosteriorSampler(2, epochs=1, width=24, blocks=1) for _ in range(2))
-    before = fresh.state_dict()
-    x = np.random.default_rng(0).random((50, 2))
-    used.update(x, 5 + 3 * unordered(x))
-    used.load_state_dict(before)
-    assert used.state_dict()["scale"] is None
-    image = unordered(np.array([[0.2, 0.8]]))[0]
-    np.testing.assert_array_equal(used.sample(9, image), fresh.sample(9, image))
-
-
 def test_the_proposer_is_as_it_was_after_a_training_that_raises_and_after_samples() -> None:
     x = np.random.default_rng(0).random((50, 2))
     predictor = PosteriorSampler(2, epochs=3, width=8, blocks=1)
@@ -159,12 +148,6 @@ def test_an_ensemble_without_progress_is_given_up() -> None:
     for started in (1, 1, 2):
         opt.tell(opt.ask(), images, np.full(6, 0.5))
         assert opt.starts == started
-
-
-def test_a_collapsed_ensemble_stays_finite() -> None:
-    x = np.full((6, 3), 0.4)
-    e = np.full((6, 8), 0.2)
-    np.testing.assert_array_equal(kalman_update(x, e, np.ones((6, 8)), 0.0), x)
 
 
 def blobs(X: Float64) -> Float32:

@@ -17,7 +17,7 @@ import optuna
 import pytest
 from scipy.optimize import dual_annealing
 
-from fide_lab import optimizers, run as harness
+from fide_lab import optimizers
 from fide_lab.baselines.base import Baseline
 from fide_lab.baselines.image_based import FIDEAnnealing, Visits
 from fide_lab.baselines.libraries import DFOLS, DualAnnealing, ReverseCommunication
@@ -62,8 +62,7 @@ def test_an_error_of_the_library_reaches_the_user() -> None:
     assert caller.over
 
 
-@pytest.mark.parametrize("how", ["close", "forget"])
-def test_a_search_is_cancelled_and_cleans_up(how: str) -> None:
+def test_a_search_that_is_forgotten_is_cancelled_and_cleans_up() -> None:
     left = []
 
     def search(function: Callable[[Any], Any]) -> None:
@@ -79,10 +78,6 @@ def test_a_search_is_cancelled_and_cleans_up(how: str) -> None:
     caller: ReverseCommunication | None = ReverseCommunication(search)
     assert caller is not None and caller.point() is not None
     assert threading.active_count() == before + 1
-    if how == "close":
-        caller.close()
-        caller.close()
-        assert caller.point() is None
     caller = None
     assert threading.active_count() == before and left == ["left"]
 
@@ -115,7 +110,6 @@ def test_the_surroundings_are_those_of_the_library_after_ctrl_c_too(
         caller.point()
     assert caller.point() is not None
     assert depths == [1, 1] and depth == 0
-    caller.close()
 
 
 def test_python_exits_while_a_search_waits() -> None:
@@ -192,16 +186,6 @@ def test_another_search_begins_where_scipy_returns() -> None:
     assert 0 < ours.ask()[0, 0] < 1 and ours.starts == 2
 
 
-def test_asked_for_more_it_gives_the_same_point_whose_other_results_are_not_used() -> None:
-    one, several = DualAnnealing(2, seed=0), DualAnnealing(2, seed=0)
-    for _ in range(30):
-        X, Y = one.ask(), several.ask(3)
-        np.testing.assert_array_equal(Y, np.repeat(X, 3, axis=0))
-        one.tell(X, losses=rastrigin(X))
-        several.tell(Y, losses=rastrigin(Y) + np.array([0.0, 5.0, 7.0]))
-    assert several.evaluations == 3 * one.evaluations
-
-
 def test_a_population_has_no_effect_and_one_warning() -> None:
     with pytest.warns(RuntimeWarning, match="popsize=12 has no effect on dual-annealing") as found:
         opt = DualAnnealing(2, seed=0, popsize=12)
@@ -248,9 +232,9 @@ def test_scipy_goes_on_from_the_point_that_was_put_in_the_place_of_its_own() -> 
     visits: Visits = opt._visits
     visits.denoise = lambda x, std: answer.copy()
     while visits.std is None:
-        assert not opt._proposals.made
+        assert not opt._visits.made
         opt.tell(*_one(opt))
-    while not opt._proposals.made:
+    while not opt._visits.made:
         opt.tell(*_one(opt))
     after = []
     for _ in range(200):
@@ -288,7 +272,7 @@ def test_noise_and_training_follow_the_points_of_both_kinds() -> None:
             visited.append(X[0])
         opt.tell(X, images, losses)
     np.testing.assert_array_equal(np.concatenate(trained), np.array(visited)[:60])
-    proposals = np.array(opt._proposals.made)
+    proposals = np.array(opt._visits.made)
     asked = np.array(visited)[20:60]
     among = [(p == asked).all(axis=1).any() for p in proposals[:20]]
     assert all(among)  # half of those after the first training
@@ -354,16 +338,6 @@ def test_a_smooth_problem_is_solved_in_few_renders() -> None:
         X = opt.ask()
         opt.tell(X, smooth(X))
     assert opt.best is not None and opt.best.loss < 1e-10
-
-
-def test_the_loss_plays_no_part_in_the_search_and_chooses_the_best() -> None:
-    one, other = DFOLS(DIM, TARGET, seed=0), DFOLS(DIM, TARGET, seed=0)
-    for i in range(30):
-        X, Y = one.ask(), other.ask()
-        np.testing.assert_array_equal(X, Y)
-        one.tell(X, smooth(X))
-        other.tell(Y, smooth(Y), [float(abs(i - 11))])
-    assert other.best is not None and other.best.evaluation == 11
 
 
 def test_without_the_package_it_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -432,13 +406,6 @@ def test_without_a_framework_it_is_named(family: str, monkeypatch: pytest.Monkey
         monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(DependencyError, match=f"pip install {family} .*extra {family}"):
         optimizers.make(f"{family}:Unheard", 2)
-
-
-def test_a_run_tells_its_budget_to_those_that_plan() -> None:
-    run = harness.prepare("voronoi", "nevergrad:NGOpt", budget=123, size=16)
-    assert run.optimizer._library.budget == 123  # type: ignore[attr-defined]
-    run = harness.prepare("voronoi", "nevergrad:NGOpt", budget=123, size=16, options={"budget": 9})
-    assert run.optimizer._library.budget == 9  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("step", ["ask", "tell", "provide_recommendation"])

@@ -186,9 +186,12 @@ def test_what_cannot_be_run_again_says_so(name: str, message: str, tmp_path: Pat
         ("mine.py:Strange", "it needs 'budgets' too: (dim, budgets); give other parameters a def"),
         ("mine.py:Nowhere", "must have a parameter dim"),
         ("mine.py:Narrow", "tell of mine.py:Narrow must be tell(X, losses) or"),
-        ("mine.py:number", "is int, not a class with ask and tell; its classes: Least, Images"),
-        ("mine.py:Leest", "did you mean 'Least'?"),
-        ("mine.py", "mine.py is a file, not a class; its classes: Least"),
+        (
+            "mine.py:number",
+            "'number' in mine.py must be a class with ask and tell; it has Least, Images",
+        ),
+        ("mine.py:Leest", "'Leest' in mine.py must be a class with ask and tell; it has Least"),
+        ("mine.py", "; it has Least, Images"),
         ("nowhere.py:Search", "no file 'nowhere.py'; write FILE.py:NAME or module:NAME"),
         ("nevergard:CMA", "no module 'nevergard'; write FILE.py:NAME"),
         ("mine.py:empty", "mine.py:empty has no method ask"),
@@ -206,7 +209,7 @@ def test_options_are_those_of_the_constructor() -> None:
 
 
 def test_too_few_candidates() -> None:
-    with pytest.raises(PointsError, match=r"must return candidates of the shape \(6, 2\).* 5 rows"):
+    with pytest.raises(PointsError, match=r"must return candidates of shape \(6, 2\).* 5 rows"):
         optimizers.make("mine.py:Few", 2).ask()
 
 

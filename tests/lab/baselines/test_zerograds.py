@@ -28,15 +28,6 @@ def test_the_network_has_three_hidden_layers_of_64() -> None:
     assert proxy(5)(torch.zeros(7, 5)).shape == (7,)
 
 
-def test_the_last_output_passes_a_leaky_relu_too() -> None:
-    network = proxy(2)
-    with torch.no_grad():
-        for parameter in network.parameters():
-            parameter.zero_()
-        network.layers[-1].bias.fill_(-3.0)  # type: ignore[operator]
-    torch.testing.assert_close(network(torch.rand(4, 2)), torch.full((4,), -0.03))
-
-
 def test_its_gradient_is_that_of_finite_differences() -> None:
     network = proxy(3).double()
     x, h = torch.tensor([0.2, 0.7, 0.4], dtype=torch.float64), 1e-6
@@ -82,15 +73,6 @@ def test_smoothing_moves_what_is_rendered_and_not_what_is_learned() -> None:
     np.testing.assert_allclose(learned[:40] + learned[40:], 1.0, atol=1e-12)
     np.testing.assert_allclose((X[:80] - learned).std(), 0.005, rtol=0.05)
     np.testing.assert_allclose(learned.std(), 0.05, rtol=0.05)
-
-
-def test_the_size_of_losses_does_not_matter() -> None:
-    one, other = ZeroGrads(2, seed=0), ZeroGrads(2, seed=0)
-    for _ in range(5):
-        X, Y = one.ask(), other.ask()
-        np.testing.assert_allclose(X, Y, atol=1e-6)
-        one.tell(X, losses=valley(X))
-        other.tell(Y, losses=4096.0 * valley(Y))
 
 
 def test_it_goes_downhill_and_stays_in_the_box() -> None:

@@ -10,8 +10,7 @@ from pathlib import Path
 import pytest
 
 from fide_lab import compare
-from fide_lab.compare import Outcome, Plan
-from fide_lab.compare.driver import prepare
+from fide_lab.compare import Plan
 from fide_lab.report.sentences import METHOD
 from fide_plugins.recording.storage import RunDirectoryError
 
@@ -124,23 +123,6 @@ def test_the_loss_of_a_user_s_renderer_is_that_of_the_image_as_it_was_seen(
     (run,) = compare.read(tmp_path / "out").runs
     assert run.final == run.totals["best_loss"] == run.totals["reference_loss"] > 0
     assert any("renderer of your own cannot" in said for said in METHOD)
-
-
-def test_a_renderer_that_is_edited_meanwhile_leaves_the_target_as_it_is(
-    scene: str, tmp_path: Path
-) -> None:
-    """Runs of two versions are told apart by the digests of the file, see `versions`."""
-    out = tmp_path / "out"
-    plan = plan_of(scene, "cma", seeds=2)
-
-    def edit_after(outcome: Outcome) -> None:
-        edit(scene, NOISY + REMARK)
-
-    prepare(plan, out).execute(edit_after)
-    assert len(targets(out)) == 1
-    edit(scene, NOISY)
-    with pytest.raises(RunDirectoryError, match="has changed since runs with"):
-        prepare(plan, out, resume=True)
 
 
 def test_a_user_s_folder_of_targets_is_not_taken_for_one_of_a_comparison(

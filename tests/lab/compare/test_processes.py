@@ -8,7 +8,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
@@ -34,22 +33,6 @@ def test_every_item_has_its_result_and_a_death_takes_one_with_it(child: Any) -> 
     assert [item for pid, item in results if pid is None] == ["die"]
     pids = {pid for pid, _ in results} - {None}
     assert os.getpid() not in pids and 1 <= len(pids) <= 3
-
-
-def test_an_item_for_which_no_process_starts_is_lost_alone(
-    child: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    submit = processes._Worker.submit
-
-    def failing(worker: Any, work: Any, item: Any) -> Any:
-        if item == 2:
-            raise BrokenProcessPool
-        return submit(worker, work, item)
-
-    monkeypatch.setattr(processes._Worker, "submit", failing)
-    results = list(in_processes(child.work, [1, 2, 3], 2, child.lost))
-    assert sorted(item for _, item in results) == [1, 2, 3]
-    assert [item for pid, item in results if pid is None] == [2]
 
 
 def test_leaving_early_ends_the_processes(

@@ -274,22 +274,6 @@ def test_folders_of_other_things_are_left_alone(tmp_path: Path) -> None:
             compare.run(small(), tmp_path, resume=True)
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_what_an_optimizer_warns_of_is_said_once(
-    jobs: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(machine, "cores", lambda: 2)
-    names, losses = ("dual-annealing", "dfols", "random"), ("mse", "loi")
-    plan = small(*names, losses=losses, budget=13, options={"popsize": 12})
-    with pytest.warns(RuntimeWarning) as found:
-        outcomes = compare.run(plan, tmp_path, jobs=jobs)
-    assert {outcome.kind for outcome in outcomes} == {"done"} and len(outcomes) == 12
-    said = [str(one.message).partition(",")[0] for one in found]
-    assert said == [f"popsize=12 has no effect on {name}" for name in names[:2]]
-    assert "has no effect" not in capfd.readouterr().err  # of the processes
-
-
 def test_more_jobs_than_cores_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="at most one process per core"):
         compare.run(small(), tmp_path / "out", jobs=1000)

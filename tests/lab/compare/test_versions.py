@@ -16,7 +16,6 @@ from fide_lab import compare, run as harness
 from fide_lab.compare import Plan
 from fide_lab.compare.driver import prepare
 from fide_plugins import encoders, losses
-from fide_plugins.cli import main
 from fide_plugins.encoders.patch import RawPatchEncoder
 from fide_plugins.errors import CheckpointError
 from fide_plugins.learning import learn
@@ -185,34 +184,6 @@ def test_an_unfinished_run_of_fide_with_another_loss_begins_again(
         assert kinds(plan("fide", losses=("mine",))) == ["failed"]
     change("the loss mine")
     assert kinds(plan("fide", losses=("mine",)), resume=True) == ["done"]
-
-
-def test_a_run_that_another_process_executes_is_not_said_to_be_continued() -> None:
-    from fide_plugins.runtime import files
-
-    failing = plan("mine.py:Search:fails=true")
-    compare.run(failing, "out")
-    key = next(failing.runs())
-    assert prepare(failing, "out", resume=True).states[key].kind == "started"
-    with files.locked(Path("out") / key.folder / ".lock"):
-        assert prepare(failing, "out", resume=True).states[key].kind == "busy"
-
-
-@pytest.mark.filterwarnings("always:mine.py has changed while:RuntimeWarning")
-def test_the_report_says_that_a_file_changed_between_its_runs(
-    change: Callable[[str], None], capsys: pytest.CaptureFixture[str]
-) -> None:
-    prepare(plan("mine.py:Search", "random", seeds=2), "out").execute(lambda _: change("mine.py"))
-    for path in Path("out").rglob("run.json"):
-        run = json.loads(path.read_text())
-        if "mine.py:Search" in run["sources"] and run["settings"]["seed"]:
-            run["sources"]["mine.py:Search"] = ["file:0000000000000000"]
-            path.write_text(json.dumps(run))
-    words = r"mine\.py has changed while runs with mine\.py:Search in out .* 2 versions"
-    with pytest.warns(RuntimeWarning, match=words):
-        compare.read("out")
-    assert main(["report", "out"]) == 0
-    assert "fide report: mine.py has changed while runs" in capsys.readouterr().err
 
 
 SETTINGS: dict[str, Any] = {"size": 16, "task_options": {"cells": 2}, "out": "out"}

@@ -9,7 +9,6 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
@@ -64,7 +63,7 @@ def test_names_cannot_become_markup_and_nothing_is_fetched(written: Path) -> Non
 def test_everything_that_is_seen_can_be_read_aloud(written: Path) -> None:
     page = Page(written)
     assert len(page.all("img")) == 3 and all(a["alt"].strip() for a in page.all("img"))
-    assert len(page.all("caption")) == len(page.all("table")) == 2
+    assert len(page.all("caption")) == len(page.all("table")) == 1
     assert all("scope" in a for a in page.all("th"))
     assert page.all("html")[0]["lang"] == "en" and len(page.all("h1")) == 1
 
@@ -103,7 +102,7 @@ def test_formulas_of_a_spreadsheet_are_led_by_an_apostrophe() -> None:
 def test_markdown_reads_as_a_table(written: Path) -> None:
     text = written.with_suffix(".md").read_text()
     tables_of = [block for block in text.split("\n\n") if block.startswith("| ")]
-    assert len(tables_of) == 2
+    assert len(tables_of) == 1
     for block in tables_of:
         lines = block.splitlines()
         assert len({len(line) for line in lines}) == 1, "aligned"
@@ -129,15 +128,6 @@ def test_the_winner_is_bold_and_differences_are_marked() -> None:
     assert "significantly better than b" in sentences.summary(panel)
 
 
-def test_a_ratio_of_many_digits_is_not_written_out() -> None:
-    """A winner at 1e-15 has found the answer; how many times lower it is says nothing more."""
-    runs = [result("a", s, 1e-15) for s in range(3)] + [result("b", s, 2e-3) for s in range(3)]
-    (panel,) = panels(results([*runs, *(result("c", s, 5e-13) for s in range(3))]), {})
-    table = tables.ranking(panel)
-    at = [title for title, _ in table.columns].index("times winner")
-    assert [row[at] for row in table.rows] == ["winner", "500", "over 1,000"]
-
-
 LONG = "dibo:batch=64:budget=600:precision=single:proposals=2:proxy_width=64:width=128"
 MANY = ["fide", "cma", *(f"cma:popsize={k}" for k in range(10, 17)), "x" * 60, LONG]
 
@@ -160,27 +150,6 @@ def test_options_that_tell_an_optimizer_from_nobody_are_left_out_and_said() -> N
     (panel,) = panels(results(many()), {})
     assert f"Here dibo is {LONG}." in sentences.summary(panel)
     assert "| dibo " in tables.markdown(tables.ranking(panel))
-
-
-def test_all_text_of_a_chart_lies_within_it_and_beside_the_curves() -> None:
-    (panel,) = panels(results(many()), {})
-    figure = plots.convergence(panel, "renders")
-    canvas: Any = figure.canvas
-    canvas.draw()
-    axes = figure.axes[0]
-    key: Any = axes.get_legend()
-    for text in (axes.xaxis.label, axes._left_title, *key.get_texts()):  # type: ignore[attr-defined]
-        box = text.get_window_extent()
-        assert 0 <= box.x0 < box.x1 <= figure.bbox.x1 and 0 <= box.y0 < box.y1 <= figure.bbox.y1
-    assert not key.get_window_extent().shrunk(0.99, 0.99).overlaps(axes.bbox)
-
-
-def test_few_seeds_are_said_to_be_few() -> None:
-    runs = [result(n, s, v + s) for n, v in (("a", 0.1), ("b", 0.2)) for s in range(5)]
-    (panel,) = panels(results(runs), {})
-    said = sentences.summary(panel)
-    assert "With 5 pairs no difference can be significant: p cannot be below 0.062; use" in said
-    assert "†" not in tables.markdown(tables.ranking(panel))
 
 
 def test_one_run_of_one_optimizer_is_a_report_too(tmp_path: Path) -> None:
@@ -268,23 +237,3 @@ def test_optimizers_are_chosen_by_name(study: Path, tmp_path: Path) -> None:
     assert {row["optimizer"] for row in rows} == {"cma"}
     with pytest.raises(OptionError, match="unknown optimizer of .*'cna'.*did you mean 'cma'"):
         every.of(["cma", "cna"])
-
-
-def test_a_median_that_is_infinite_leaves_a_gap_and_its_band_reaches_the_top() -> None:
-    runs = [result("a", s, 0.1) for s in range(4)] + [failed("a", s) for s in range(4, 9)]
-    (panel,) = panels(results([*runs, *(result("b", s, 0.2) for s in range(9))]), {})
-    axes = plots.convergence(panel, "renders").axes[0]
-    assert [float(np.asarray(line.get_ydata())[-1]) for line in axes.lines] == [np.inf, 0.2]
-    assert np.isfinite(axes.get_ylim()).all()
-
-
-def test_the_page_states_the_size_of_the_pictures_as_they_are(study: Path, tmp_path: Path) -> None:
-    there = compare.read(study)
-    runs = [r for r in there.runs if r.key.configuration == "cma"]
-    for run in runs:
-        run.run["settings"]["size"] = [18, 32]
-    settings = there.settings | {"size": 224}  # as where the user's renderer has another one
-    written = report.write(replace(there, settings=settings, runs=runs), tmp_path / "a.html")
-    text = Page(written.page).text
-    assert "Optimizers: 1. Seeds: 3. Renders of a run: 40. Pixels: 32 x 18." in text
-    assert "224" not in text.split("Origin")[-1]

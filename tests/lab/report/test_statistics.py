@@ -110,26 +110,6 @@ def test_negative_losses_are_compared_themselves() -> None:
     assert found.worse == 1
 
 
-def test_the_ratio_to_an_infinite_loss_is_no_invented_number() -> None:
-    assert paired([np.inf] * 3, [0.1, 0.2, 0.3]).ratio == np.inf
-    assert np.isnan(paired([np.inf, np.inf], [np.inf, np.inf]).ratio)
-    mixed = paired([np.inf, 0.4, 0.4], [np.inf, 0.1, 0.2])
-    assert mixed.ratio == pytest.approx(3.0) and mixed.worse == 2
-
-
-def test_no_finite_difference_is_larger_than_an_infinite_one() -> None:
-    found = paired([np.inf, 1e-9, 2e-9], [0.1, 0.9, 0.8])  # ranks 3, -2, -1
-    assert found.p == 1.0 and found.worse == 1
-
-
-def test_pairs_without_a_difference_have_ranks_whatever_their_number() -> None:
-    a = np.array([1.0] * 6 + [1.1, 1.2, 1.3, 1.4, 1.5, 1.6, 0.55, 1.9])
-    exact = by_all_signs(np.log(a))
-    assert paired(a, np.ones(14)).p == pytest.approx(exact, abs=0.01)
-    assert abs(stats.wilcoxon(np.log(a)).pvalue - exact) > 0.05, "which leaves zeros out"
-    assert paired(a[4:], np.ones(10)).p == pytest.approx(by_all_signs(np.log(a[4:])))
-
-
 def test_adjusting_is_benjamini_and_hochberg_s() -> None:
     assert adjusted([]) == []
     assert adjusted([0.01, 0.02, 0.9]) == pytest.approx([0.03, 0.03, 0.9])
@@ -162,21 +142,6 @@ def test_success_is_judged_without_noise() -> None:
     assert both.curve is not None
     both.curve.at["renders"][-1] = 4  # told so earlier than the best was found
     assert panel.renders_to_target(both) == 4
-
-
-def test_nobody_succeeds_where_no_loss_was_finite() -> None:
-    (panel,) = panels(results([result("a", 0, None)]), {})
-    assert panel.reached(panel.rows[0]) == 0
-
-
-def test_thresholds_that_are_stated() -> None:
-    runs = [result("a", s, 0.1 * s) for s in range(5)]
-    runs += [result("a", s, 0.1 * s, task="u") for s in range(5)]
-    first, second = panels(results(runs), {"mse": 0.15, "u/mse": 0.35})
-    assert (first.threshold, second.threshold, first.stated) == (0.15, 0.35, True)
-    assert first.reached(first.rows[0]) == 2
-    assert second.reached(second.rows[0]) == 4
-    assert second.to_target(second.rows[0]) == 10
 
 
 def test_runs_of_other_budgets_are_compared_where_the_shorter_ends() -> None:
@@ -222,12 +187,3 @@ def test_an_optimizer_without_a_finished_run_is_listed_and_compared() -> None:
     assert [row.label for row in panel.rows] == ["a"]
     assert panel.significant(panel.every[1]) and set(panel.against_winner) == {"b"}
     assert panel.against_winner["b"].ratio == np.inf
-
-
-def test_equal_medians_have_no_single_winner_and_infinite_ones_none() -> None:
-    runs = [result(name, s, v) for name, v in (("a", 0.3), ("b", 0.1), ("c", 0.1))
-            for s in range(3)]  # fmt: skip
-    (panel,) = panels(results(runs), {})
-    assert [row.label for row in panel.lowest] == ["b", "c"]
-    (panel,) = panels(results([result("a", 0, None), result("b", 0, None)]), {})
-    assert panel.lowest == () and panel.winner is None and panel.against_winner == {}

@@ -10,10 +10,11 @@ import pytest
 from PIL import Image
 
 from fide_lab import run as harness
+from fide_lab.run.kept_target import same_target
 from fide_lab.run.prepare import make_task
 from fide_lab.run.task import source_of_target
 from fide_plugins.errors import CheckpointError
-from fide_plugins.recording.storage import RunDirectoryError, same_target
+from fide_plugins.recording.storage import RunDirectoryError
 
 from .tint import Tint, same
 
@@ -67,14 +68,6 @@ def test_some_values_of_8_bits_may_be_a_step_off() -> None:
     assert not same_target(one, one + np.float32(1 / 255))  # a change that all pixels show
     other[3, 3] += np.float32(3 / 255)
     assert not same_target(one, other) and not same_target(one, one[:32])
-
-
-def test_it_is_kept_before_the_first_checkpoint(tmp_path: Path) -> None:
-    begun = harness.prepare(RendersItsTarget(), "cma", budget=45, out=tmp_path)
-    assert begun._directory is not None
-    begun._directory.close()  # as if the process were killed
-    assert not (tmp_path / "run.ckpt").exists()
-    run(tmp_path, resume=True)
 
 
 @pytest.mark.parametrize("cut", [True, False])

@@ -14,14 +14,11 @@ import pytest
 
 from fide_lab import optimizers, run as harness
 from fide_lab.baselines.evolution import Random
-from fide_plugins import losses
 from fide_plugins.errors import (
     CheckpointError,
     OptionError,
     RenderError,
 )
-from fide_plugins.fide import FIDE
-from fide_plugins.recording.directory import CheckpointTimer, RunDirectory
 from fide_plugins.recording.storage import RunDirectoryError
 
 from .tint import TARGET, NoisyTint, Tint, raise_interrupt, same
@@ -59,24 +56,6 @@ def test_a_run_is_resumed_only_where_the_same_renderer_and_target_are(tmp_path: 
             harness.run(other, **settings, task_options=calm, resume=True)
 
 
-@pytest.mark.parametrize("options", [{"device": "cpu"}, {}])
-def test_a_run_is_resumed_on_its_device(
-    options: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Which its checkpoint does not name: it fits any."""
-    settings: dict[str, Any] = {"budget": 5, "out": tmp_path, "options": options}
-    harness.run(Tint(), "fide", **settings)
-    asked, load = [], FIDE.load
-
-    def noted(path: Any, *, device: str = "auto") -> FIDE:
-        asked.append(device)
-        return load(path, device=device)
-
-    monkeypatch.setattr(FIDE, "load", noted)
-    harness.run(Tint(), "fide", **settings, resume=True)
-    assert asked == [options.get("device", "auto")]
-
-
 @pytest.mark.parametrize(
     ("optimizer", "call"), [("cma", 1), ("cma", 2), ("cma", 4), ("random", 1), ("random", 5)]
 )
@@ -111,10 +90,9 @@ def test_a_larger_budget_goes_on_as_if_it_had_been_given_at_once(
     settings: dict[str, Any] = {"optimizer": optimizer, "seed": 1, "options": options}
     whole = harness.run(NoisyTint(), **settings, budget=230)
     short = harness.run(NoisyTint(), **settings, budget=first, out=tmp_path)
-    assert short.evaluations == short.generations.sum() == first
+    assert short.evaluations == first
     resumed = harness.run(NoisyTint(), **settings, budget=230, out=tmp_path, resume=True)
     assert same(whole, resumed)
-    assert resumed.generations.tolist() == whole.generations.tolist()
     assert json.loads((tmp_path / "run.json").read_text())["settings"]["budget"] == 230
     before = (tmp_path / "run.json").read_text()
     with pytest.raises(OptionError, match=f"has 230 renders already, and the budget is {first}"):
@@ -172,30 +150,6 @@ def test_a_signal_inside_the_optimizer_waits_for_the_step_to_end(
     assert len((tmp_path / "curve.csv").read_text().splitlines()) == 1 + 10
     resumed = harness.run(Tint(), **settings, out=tmp_path, resume=True)
     assert same(resumed, harness.run(Tint(), "random", budget=40, options={"popsize": 5}))
-
-
-def test_times_of_every_checkpoint_add_up(
-    known: Callable[[type], str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Also of one that is written between a long step of the optimizer and the first render."""
-
-    class Slow(Random):
-        def ask_ready(self) -> Any:
-            time.sleep(0.05)
-            return super().ask_ready()
-
-    saved, save = [], RunDirectory.save
-
-    def noted(self: RunDirectory, record: Any, optimizer: Any, *more: Any) -> None:
-        saved.append((record.wall_s, sum(record.times.values())))
-        save(self, record, optimizer, *more)
-
-    monkeypatch.setattr(RunDirectory, "save", noted)
-    monkeypatch.setattr(CheckpointTimer, "due", lambda self: True)
-    known(Slow)
-    harness.run(Tint(), "slow", budget=10, options={"popsize": 5}, out=tmp_path)
-    assert len(saved) == 3  # after each tell, and at the end
-    assert all(parts <= wall for wall, parts in saved)
 
 
 @pytest.mark.skipif(os.name == "nt", reason="no such locks on Windows")
@@ -309,23 +263,6 @@ def test_an_optimizer_that_fails_leaves_its_results(
     n = json.loads((tmp_path / "run.json").read_text())["totals"]["evaluations"]
     assert n >= 15 and len((tmp_path / "curve.csv").read_text().splitlines()) == n + 1
     assert {"best.png", "target.png", "improvements.csv"} <= {p.name for p in tmp_path.iterdir()}
-
-
-def test_a_metric_that_fails_hides_no_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fails(self: object, images: object) -> Any:
-        raise MemoryError("of the metric")
-
-    task = Tint()
-    monkeypatch.setattr(type(losses.make("loi", task.target)), "compute", fails)
-    keep = harness.Keep(metrics=("loi",))
-    with pytest.raises(MemoryError, match="of the metric"):
-        harness.run(task, "random", budget=40, seed=0, out=tmp_path, keep=keep)
-    lines = (tmp_path / "improvements.csv").read_text().splitlines()
-    assert lines[0].endswith(",loi") and lines[1].endswith(",")
-    assert json.loads((tmp_path / "run.json").read_text())["state"] == "failed"
-    assert {"run.ckpt", "best.png"} & {p.name for p in tmp_path.iterdir()} == {"best.png"}
 
 
 def test_an_optimizer_that_fails_leaves_the_last_whole_state(

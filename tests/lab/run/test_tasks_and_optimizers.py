@@ -80,10 +80,6 @@ def test_a_task_that_says_all() -> None:
         def reference(self, x: Float64) -> Any:
             return x
 
-        def advice(self, loss: str) -> str | None:
-            return f"no {loss} here"
-
     scene = Scene()
     said = TaskInfo.of(scene)
-    assert said == TaskInfo("scene", 4, scene.reference, ("workers",), "llvm", advice=scene.advice)
-    assert harness.prepare(scene, "random", budget=4).advice == "no mse here"
+    assert said == TaskInfo("scene", 4, scene.reference, ("workers",), "llvm")

@@ -14,7 +14,7 @@ from fide_lab.compare.results import Curve
 from fide_lab.run import prepare
 from fide_lab.run.foreign import Foreign
 from fide_lab.run.task import TaskInfo
-from fide_lab.suite import foreign, renderers
+from fide_lab.suite import foreign
 from fide_plugins.cli import main
 from fide_plugins.comparison.coverage import is_pair
 from fide_plugins.fide import FIDE
@@ -75,14 +75,6 @@ def test_problems_are_fixed_and_differ(name: str) -> None:
     again = foreign.make(name, 0)
     np.testing.assert_array_equal(first.target, again.target)
     assert not np.array_equal(first.target, other.target)
-
-
-def test_the_sky_of_the_small_renderer_is_one_color() -> None:
-    p = {"azimuth": 0.0, "elevation": 8.0, "x": 0.0, "z": 0.0, "radius": 0.3, "sun": 0.0,
-         "height": 45.0, "red": 1.0, "green": 0.0}  # fmt: skip
-    image = renderers.ball(p)
-    np.testing.assert_allclose(image[0], np.broadcast_to([0.55, 0.7, 0.9], (64, 3)), atol=1e-6)
-    assert image[36, 32, 0] > image[36, 32, 1], "the ball is red"
 
 
 def prepared(optimizer: Any, problem: str = "coin-2", **settings: Any) -> harness.Run:

@@ -10,7 +10,6 @@ import pytest
 
 from fide_lab.compare.plan import RunKey
 from fide_lab.compare.results import Curve, NoResultsError, Results, StoredRun
-from fide_lab.report import plots
 from fide_lab.suite.page import by_scene, lowest, sign_test, totals
 from fide_lab.suite.scores import data_profile, scores
 
@@ -121,10 +120,3 @@ def test_p_of_a_sign_test_is_that_of_the_pairs_that_differ() -> None:
     assert sign_test(a, b) == sign_test(b, a) == pytest.approx(2 * 0.5**6)
     assert sign_test(a, a) == 1.0
     assert sign_test(-a, -np.full(8, np.inf)) == pytest.approx(2 * 0.5**8)
-
-
-def test_a_name_takes_no_more_room_than_what_is_written_of_it() -> None:
-    """Long names are cut; of 13 optimizers one had left half of the figure empty."""
-    x, shares = np.array([1.0, 10.0]), np.zeros((2, 1))
-    widths = [plots.profile(x, shares, [n * "m"], "renders").get_figwidth() for n in (9, 28, 99)]
-    assert widths[0] < widths[1] == widths[2]

@@ -15,9 +15,7 @@ import pytest
 
 from fide_lab import suite as suites
 from fide_lab.run.prepare import make_task
-from fide_lab.suite import definition, page, problems
-from fide_lab.suite.page import remarks
-from fide_lab.suite.scores import Scores
+from fide_lab.suite import definition, problems
 from fide_plugins import Float, Space, losses
 from fide_plugins.cli import main
 from fide_plugins.errors import OptionError
@@ -189,63 +187,6 @@ def test_failed_runs_are_unsolved_and_open_ones_left_out(
     printed = capsys.readouterr()
     assert "2 of 110 problems" in printed.out
     assert "Left out, 1 problem: random (missing) on lamps-1." in printed.out
-
-
-@pytest.mark.thorough
-def test_what_was_never_run_is_named_and_optimizers_may_be_chosen(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """An entrant who tries one problem first sees which ones are missing, and keeps the table."""
-    monkeypatch.chdir(tmp_path)
-    words = ["compare", "--suite", "image-fitting-v1", "--budget", 40, "--out", "out"]
-    first = ["--scenes", "lamps,sprites", "--targets", 2, "--optimizers", "random,cma"]
-    assert fide(*words, *first) == 0
-    whole = Path("out/solved.csv").read_text()
-    capsys.readouterr()
-    one = ["--scenes", "lamps", "--targets", 1, "--optimizers", "eki:popsize=20", "--resume"]
-    assert fide(*words, *one) == 0
-    printed = capsys.readouterr()
-    assert "image-fitting-v1: 1 run of 40 renders (--scenes" in printed.err
-    said = (
-        "Left out, 3 problems: eki:popsize=20 (not planned) on sprites-0, lamps-1, sprites-1.",
-        "fide compare --resume adds runs, fide report --optimizers A,B shows only these",
-    )
-    text = Path("out/report.md").read_text()
-    assert "1 of 110 problems" in printed.out
-    assert all(words in printed.out and words in text for words in said)
-
-    assert fide("report", "out", "-o", "out/two.html", "--optimizers", "cma,random") == 0
-    printed = capsys.readouterr()
-    assert "4 of 110 problems" in printed.out and "Left out" not in printed.out
-    assert "Not shown: eki:popsize=20." in printed.out
-    assert Path("out/two-solved.csv").read_text() == whole
-    assert fide("report", "out", "--optimizers", "cma,rnadom") == 2
-    assert "unknown optimizer of out 'rnadom'" in capsys.readouterr().err
-    assert fide("report", "out", "--optimizers", "cma:popsize=") == 2
-
-
-def test_the_first_few_problems_that_are_left_out_are_named() -> None:
-    left_out = [("a", f"arm-{k}", "not planned") for k in range(7)] + [("a", "lens-0", "missing")]
-    t = np.full((1, 1), np.inf)
-    found = Scores(SUITE, ("a",), ("arm-9",), (500,), t, t[None], left_out=tuple(left_out))
-    assert remarks(found)[0] == (
-        "Left out, 8 problems: a (not planned) on arm-0, arm-1, arm-2, arm-3, arm-4 and 2 more; "
-        "a (missing) on lens-0."
-    )
-
-
-@pytest.mark.parametrize(
-    ("budgets", "said"),
-    [
-        ((500,), "; by 500 renders only, of 500, 2,000, 10,000."),
-        ((500, 600), "; by 500, 600 renders in place of 500, 2,000, 10,000."),
-        ((500, 2000, 10_000), "; without arm."),
-    ],
-)
-def test_budgets_that_the_suite_has_not_are_said(budgets: tuple[int, ...], said: str) -> None:
-    problems = tuple(f"{scene}-0" for scene in SUITE.scenes if scene != "arm")
-    t, losses_ = np.full((10, 1), np.inf), np.ones((len(budgets), 10, 1))
-    assert page._part(Scores(SUITE, ("cma",), problems, budgets, t, losses_)).endswith(said)
 
 
 def test_nothing_but_failures_is_exit_code_1(
