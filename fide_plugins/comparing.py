@@ -34,8 +34,8 @@ def adapt_light(optimizer: FIDE) -> None:
         return
     if generations == kept.considered or generations & (generations - 1):
         return
-    if optimizer.state.scales.useful is None:
-        return
+    if optimizer.state.scales.useful is None and not kept.covered:
+        return  # blurs are chosen by the first renders, in their own light
     kept.considered = generations
     assert evaluator.comparison is not None and kept.images is not None
     comparison, before = evaluator.comparison, evaluator.comparison.state_dict()
