@@ -33,7 +33,7 @@ SITE   := build/docs/html
 CHECKS := $(VENV)/.release
 PIP    := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: setup demo test test-thorough test-kernels test-gpu lint format docs docs-links wheel release clean
+.PHONY: addon setup demo test test-thorough test-kernels test-gpu lint format docs docs-links wheel release clean
 .DEFAULT_GOAL := setup
 
 setup: $(STAMP)
@@ -125,6 +125,12 @@ release: wheel $(CHECKS)
 	$(BIN)/cyclonedx-py environment build/release/bin/python --of JSON -o dist/sbom.json
 	awk '/^## \[/ {n += 1} n == 1' CHANGELOG.md > dist/NOTES.md
 	@ls dist
+
+# The add-on for Blender, which needs nothing but Blender and an installed FIDE.
+addon:
+	@mkdir -p dist
+	cd adapters/blender_addon/fide_fit && $(PYTHON) -m zipfile -c ../../../dist/fide-blender.zip \
+	  __init__.py blender_manifest.toml render.py
 
 clean:
 	rm -rf build dist .mypy_cache .pytest_cache .ruff_cache .hypothesis

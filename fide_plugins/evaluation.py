@@ -24,8 +24,7 @@ from fide_plugins.runtime.schema import anything, check
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.pixels import Clipping, OnClip
 from fide_plugins.views import Views
-from fide_plugins.views.encoder import encoder_of
-from fide_plugins.views.loss import loss_of
+from fide_plugins.views.compared import encoder_of, loss_of
 
 Result: TypeAlias = tuple[Float64, float, Float32 | None, torch.Tensor | None, float]
 """x (d,), loss, image (H, W, 3), tokens (T, C) of one candidate, and what the search is told."""

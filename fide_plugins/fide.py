@@ -45,8 +45,8 @@ from fide_plugins.validation.points import (
     whole_number,
 )
 from fide_plugins.views import Views
+from fide_plugins.views.compared import loss_of
 from fide_plugins.views.grain import Grain
-from fide_plugins.views.loss import loss_of
 from fide_plugins.views.same_images import SameImages
 
 if TYPE_CHECKING:
@@ -60,7 +60,6 @@ __all__ = ["FIDE", "Decision"]
 _ARGUMENTS = ("dim", "weights", "value_range", "x0", "sigma0", "seed")
 _ROUGHLY = 0.1  # standard deviation of a guess from which descents begin, at most
 _COARSEST = 16  # pixels: smaller pictures are not blurred
-_STALLED = 20  # generations without improvement; or a quarter of all evaluations, if that is more
 
 Decision: TypeAlias = tuple[bool | None, bool | None]
 """Whether a search is over, and whether images say where the next begins, as others have decided.
@@ -181,7 +180,8 @@ class FIDE(Saved):
     def _initial_state(self, posterior: Posterior | None = None) -> State:
         """Lines 1 and 2; posterior: of a learned model, where the search begins."""
         o, k, learned = self.options, self.popsize, posterior is not None
-        subsets = channel_subsets(o, self.encoder)
+        views, encoder = self.evaluator.views, self.evaluator.encoder
+        subsets = channel_subsets(o, encoder)
         layout = None if self.space is None else self.space.layout
         setting = Setting(k, np.broadcast_to(self.sigma0, self.dim), o, layout, self.validity)
         groups: Sequence[Sequence[int]] | None = o.groups
@@ -190,15 +190,15 @@ class FIDE(Saved):
         follows = o.proposer in ("both", "linear") and o.restarts == "moves"
         guessed = self.guess is not None and bool(np.max(self.sigma0) <= _ROUGHLY)
         moves = MovePolicy(
-            self.x0, setting.sigma0, popsize=k, target=self.target_tokens, channels=subsets[0],
-            seed=self.seed, groups=groups, layout=layout, posterior=posterior,
+            self.x0, setting.sigma0, popsize=k, target=self.evaluator.target_tokens,
+            channels=subsets[0], seed=self.seed, groups=groups, layout=layout, posterior=posterior,
             descends=o.photo and follows and (learned or guessed),
         )  # fmt: skip
         moves.start = setting.valid_start(moves.start, 1)
-        side = min(min(view.size) for view in self.views.views)
+        side = min(min(view.size) for view in views.views)
         may_blur = follows and o.coarse_to_fine is not False and self.loss_name is not None
         scales = ScaleSpace(
-            self.views,
+            views,
             possible=may_blur and side >= _COARSEST and not (learned or moves.descends),
             at_once=bool(o.coarse_to_fine),
             photo=o.photo,
@@ -214,10 +214,10 @@ class FIDE(Saved):
             search=Search(moves.start, moves.goal, setting),
             moves=moves,
             gate=ImageGate(o, subsets, known=learned),
-            proposer=make_proposer(o, self.dim, k, self.seed, self.encoder, learned=learned),
-            steps=make_steps(o, self.dim, k, self.encoder, learned=learned),
+            proposer=make_proposer(o, self.dim, k, self.seed, encoder, learned=learned),
+            steps=make_steps(o, self.dim, k, encoder, learned=learned),
             memory=Memory(o.memory_mb),
-            grain=Grain(self.views),
+            grain=Grain(views),
             scales=scales,
             kept=self._nothing_kept(),
         )
@@ -570,7 +570,7 @@ class FIDE(Saved):
         if best is None:
             return None
         image = self.views.restored(self.views.unpacked(best.solution.image))
-        seen = self._best_image
+        seen = self.best_image
         light = None
         if self.state.kept is not None and seen is not None:
             light = self.evaluator.light_of(seen)
@@ -579,7 +579,7 @@ class FIDE(Saved):
         return replace(found, photometric=light).copy()
 
     @property
-    def _best_image(self) -> Any:
+    def best_image(self) -> Any:
         """Image (H, W, C) of the best point, with its coverage where that is known, or None."""
         best, kept = self.state.best, self.state.kept
         if best is None or best.solution.image is None:
@@ -603,7 +603,7 @@ class FIDE(Saved):
         Absolute difference of target and best image, in the light of the target where that is
         adjusted: mean of the channels, 0 where a mask has zeros or the image covers nothing.
         """
-        image = self._best_image
+        image = self.best_image
         if image is None:
             return None
         left = self.evaluator.residual(image)
@@ -613,35 +613,11 @@ class FIDE(Saved):
     @one_at_a_time
     def status(self) -> Status:
         """What is known of the run so far: a code, and a sentence (see `fide_plugins.status`)."""
-        state, best = self.state, self.state.best
-        since = state.evaluations - state.retargeted_at
-        known = state.moves.known
-        others, apart = known.optima.others(known.exchangeability.distance)
-        from fide_plugins.status import Facts, status_of
+        from fide_plugins.status import status_now
         from fide_plugins.views.solved import is_solved
 
-        image = None if best is None else best.solution.image
-        facts = Facts(
-            evaluations=state.evaluations,
-            best=None if best is None else best.solution.loss,
-            improved_at=state.improved_at,
-            horizon=max(_STALLED * state.search.popsize, since // 4),
-            ended=[optimum.searches for optimum in known.optima.all],
-            forgotten=known.optima.forgotten,
-            others=others,
-            apart=apart,
-            solved=image is not None and is_solved(self.views, image),
-            grain=None if image is None else state.grain.left(image, self.views.target),
-            same=self.same_images.number,
-            clipped=state.clipping.images,
-            low=state.clipping.low,
-            high=state.clipping.high,
-        )
-        status, seen = status_of(facts), self._best_image
-        if status.code in ("stalled", "unsure", "agreed") and not facts.same and seen is not None:
-            why = self.evaluator.mismatch(seen, agreed=status.code == "agreed")
-            return status_of(replace(facts, mismatch=why))
-        return status
+        image = None if self.state.best is None else self.state.best.solution.image
+        return status_now(self, solved=image is not None and is_solved(self.views, image))
 
     @one_at_a_time
     def solutions(self, k: int = 5) -> list[Solution]:
@@ -706,7 +682,7 @@ class FIDE(Saved):
     @property
     def _seen_target(self) -> Tensor:
         """Tokens (T, C) of the target as the present search sees it."""
-        return self.evaluator.tokens_at(self.state.blur)
+        return self.evaluator.tokens_at(self.state.scales.blur)
 
     @property
     def views(self) -> Views:

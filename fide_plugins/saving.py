@@ -47,10 +47,7 @@ class Saved(ABC):
 
     @abstractmethod
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Restore the state that `state_dict` returned, in an optimizer with the same settings.
-
-        Raises ValueError if `state` is impossible.
-        """
+        """Go on where `state_dict` gave `state`, with the same settings; or raise ValueError."""
 
     @classmethod
     def arguments(cls, settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -6,10 +6,15 @@ No black box tells that an optimum is global, and no sentence claims it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
-__all__ = ["Facts", "Status", "status_of"]
+if TYPE_CHECKING:
+    from fide_plugins.fide import FIDE
 
+__all__ = ["Facts", "Status", "status_now", "status_of"]
+
+_STALLED = 20  # generations without improvement; or a quarter of all evaluations, if that is more
 _NEARLY_ALL = 0.9  # of the images
 _NEXT = "fit again with another seed and compare the losses, or give more renders"
 
@@ -67,6 +72,36 @@ class Facts:
     clipped: int = 0
     low: float = 0.0
     high: float = 1.0
+
+
+def status_now(optimizer: FIDE, *, solved: bool) -> Status:
+    """State of the run of an optimizer; solved: as of `Facts`."""
+    state, best = optimizer.state, optimizer.state.best
+    since = state.evaluations - state.retargeted_at
+    known = state.moves.known
+    others, apart = known.optima.others(known.exchangeability.distance)
+    image = None if best is None else best.solution.image
+    facts = Facts(
+        evaluations=state.evaluations,
+        best=None if best is None else best.solution.loss,
+        improved_at=state.improved_at,
+        horizon=max(_STALLED * state.search.popsize, since // 4),
+        ended=[optimum.searches for optimum in known.optima.all],
+        forgotten=known.optima.forgotten,
+        others=others,
+        apart=apart,
+        solved=solved,
+        grain=None if image is None else state.grain.left(image, optimizer.views.target),
+        same=optimizer.same_images.number,
+        clipped=state.clipping.images,
+        low=state.clipping.low,
+        high=state.clipping.high,
+    )
+    status, seen = status_of(facts), optimizer.best_image
+    if status.code in ("stalled", "unsure", "agreed") and not facts.same and seen is not None:
+        why = optimizer.evaluator.mismatch(seen, agreed=status.code == "agreed")
+        return status_of(replace(facts, mismatch=why))
+    return status
 
 
 def status_of(facts: Facts) -> Status:

@@ -7,7 +7,7 @@ on standard error; 130 and 143 stopped by Ctrl-C and SIGTERM, with everything sa
 `NAME_command`  one module for each command: its arguments and its execution
 `arguments`     arguments that commands share; a renderer of one's own
 `fit_inputs`    what `fide fit` reads and renders before the search
-`terminal`      text for a terminal, and standard streams that are closed or full
+`terminal`      text for a terminal
 `progress`      progress of a run: lines, a page in the browser
 ==============  =====================================================================
 """
@@ -15,16 +15,15 @@ on standard error; 130 and 143 stopped by Ctrl-C and SIGTERM, with everything sa
 from __future__ import annotations
 
 import argparse
-import re
+import os
 import sys
 from collections.abc import Sequence
-from difflib import get_close_matches
 from importlib import import_module
 from typing import Any, NoReturn
 
 from fide_plugins import __version__
-from fide_plugins.cli.terminal import OutputError, complain, discard, standard_streams
-from fide_plugins.errors import DependencyError, did_you_mean
+from fide_plugins.cli.terminal import complain, discard
+from fide_plugins.errors import DependencyError
 from fide_plugins.runtime import laboratory
 
 __all__ = ["commands", "main", "module_of"]
@@ -56,16 +55,23 @@ def module_of(command: str) -> Any:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line `argv` (default: the process's own) and return its exit code."""
-    try:
-        with standard_streams():
-            return _main(sys.argv[1:] if argv is None else list(argv))
-    except BrokenPipeError:  # such as: fide list tasks | head -1
-        discard(sys.stdout)
-        return 0
-    except OutputError as error:  # such as: fide list tasks > /dev/full
-        discard(sys.stdout)
-        complain("fide", f"cannot write to standard output: {error}")
-        return 1
+    before = sys.stdout, sys.stderr
+    with open(os.devnull, "w") as nowhere:  # for streams that are closed
+        sys.stdout, sys.stderr = sys.stdout or nowhere, sys.stderr or nowhere
+        try:
+            code = _main(sys.argv[1:] if argv is None else list(argv))
+            sys.stdout.flush()
+            return code
+        except BrokenPipeError:  # such as: fide list tasks | head -1
+            discard(sys.stdout)
+            return 0
+        except OSError as error:  # such as: fide list tasks > /dev/full
+            discard(sys.stdout)
+            place = error.filename or "standard output"
+            complain("fide", f"cannot write to {place}: {error.strerror or error}")
+            return 1
+        finally:
+            sys.stdout, sys.stderr = before
 
 
 def _main(argv: list[str]) -> int:
@@ -115,22 +121,13 @@ class _Parser(argparse.ArgumentParser):
         super().__init__(prog, usage, description, formatter_class=form, allow_abbrev=False)
 
     def error(self, message: str) -> NoReturn:
-        flags = [flag for action in self._actions for flag in action.option_strings]
-        raise _Usage(self.prog, message + _suggestion(message, flags))
+        raise _Usage(self.prog, message)
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        (file or sys.stderr).write(message)  # whose errors argparse would ignore
 
     def exit(self, status: int = 0, message: str | None = None) -> NoReturn:
         raise _Done(status)
-
-
-def _suggestion(message: str, flags: list[str]) -> str:
-    """End of a message of argparse: the flag or the value that is meant; empty if none is close."""
-    if choice := re.search(r"invalid choice: '([^']*)' \(choose from (.*)\)$", message):
-        return did_you_mean(choice[1], re.findall(r"[^', ]+", choice[2]))
-    for word in message.removeprefix("unrecognized arguments: ").split():
-        close = get_close_matches(word.partition("=")[0], flags, 1)
-        if word.startswith("--") and close:
-            return f"; did you mean {close[0]}?"
-    return ""
 
 
 def _parser() -> _Parser:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import re
 from collections.abc import Sequence
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -44,14 +45,6 @@ def setting(text: str) -> tuple[str, Any]:
         return parse_key_value(text)
     except OptionError as error:
         raise argparse.ArgumentTypeError(str(error)) from error
-
-
-def lists(text: str) -> list[Any]:
-    """Parse a list of lists, as JSON has it; what is in them is not checked."""
-    if not text.startswith("["):
-        raise argparse.ArgumentTypeError(f"a list such as [[0,1],[2,3]], or [], not {text!r}")
-    _, found = setting(f"groups={text}")
-    return list(found)
 
 
 def names(text: str) -> list[str]:
@@ -120,10 +113,10 @@ def free_directory(args: argparse.Namespace, what: str) -> Path:
         return Path(args.out)
     name = f"{what}-{args.optimizer}-{args.loss}-seed{args.seed}"
     first = free = last = Path("runs", re.sub(r"[^A-Za-z0-9._-]+", "_", name).lstrip("."))
-    number = 1
-    while free.exists():
-        number, last = number + 1, free
-        free = first.with_name(f"{first.name}-{number}")
+    for number in count(2):
+        if not free.exists():
+            break
+        last, free = free, first.with_name(f"{first.name}-{number}")
     return last if args.resume else free
 
 

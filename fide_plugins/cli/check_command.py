@@ -37,7 +37,6 @@ from fide_plugins.errors import OptionError
 __all__ = ["add_arguments", "execute"]
 
 _SIDE = 112  # pixels of a built-in task
-_WORTH_TELLING = 5.0  # seconds
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -63,7 +62,7 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
     with warnings_as_notes(who):
         try:
             name, render, space, timeout = _renderer(args)
-            facts = check(render, space, workers=args.workers, timeout=timeout, told=_tell)
+            facts = check(render, space, workers=args.workers, timeout=timeout)
             picture = None
             if facts.images:
                 out = args.out or Path("runs", f"check-{_file_name(name)}")
@@ -80,13 +79,6 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
         if picture is not None:
             print(f"look at {plain(picture)}", flush=True)
     return 0 if facts.images else 1
-
-
-def _tell(renders: int, seconds: float) -> None:
-    if seconds > _WORTH_TELLING:
-        from fide_plugins.fitting.checking import duration
-
-        note(f"fide check: {renders} more renders, about {duration(seconds)}")
 
 
 def _renderer(args: argparse.Namespace) -> tuple[str, Callable[[Any], object], Any, Any]:

@@ -1,6 +1,6 @@
 """Say what is installed here, and which encoders and losses can be used.
 
-With --verbose, try every task and optimizer, too, and say what is missing for each.
+With --verbose, try every task and optimizer, too.
 """
 
 from __future__ import annotations
@@ -8,13 +8,11 @@ from __future__ import annotations
 import argparse
 import json
 from importlib import import_module
-from pathlib import Path
 from typing import Any
 
 from fide_plugins.cli.terminal import plain
 from fide_plugins.runtime import laboratory, machine
 from fide_plugins.runtime.machine import EXTRAS, install_command
-from fide_plugins.runtime.messages import counted
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,53 +23,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
-    if not (args.verbose or args.json):
-        print(_summary())
-        return 0
-    facts = examine()
+    everything = args.verbose or args.json
+    facts = examine(everything)
     print(json.dumps(facts) if args.json else _text(facts))
+    if not everything:
+        print("\nfide doctor --verbose tries every task and optimizer, too")
     return 0
 
 
-def _summary() -> str:
-    """What is installed, without importing any of it, and which encoders and losses work."""
-    versions, computer, extras = machine.versions(), machine.machine(), _versions_of_extras()
-    first = [f"{name} {versions[name]}" for name in ("fide-plugins", "python", "torch", "numpy")]
-    missing = [extra for extra, version in extras.items() if not version]
-    # PyTorch, which knows, takes a second to import
-    driver = any(Path(path).exists() for path in ("/dev/nvidiactl", "/dev/dxg"))
-    gpu = "an NVIDIA driver is there" if driver else "no GPU, everything runs on the CPU"
-    if versions["torch"].endswith("+cpu"):
-        gpu = "this PyTorch has no CUDA, everything runs on the CPU"
-    lines = [
-        ", ".join(first),
-        f"{computer['cpu']}, {counted(computer['cores'], 'core')}; {gpu}",
-        f"extras: {', '.join(extra for extra in extras if extra not in missing) or 'none'}",
-    ]
-    if missing:
-        lines.append(f"missing: {install_command(*missing)}")
-    for kind in KINDS:
-        lines.append(f"{kind}: {_usable(kind) if kind in WITH_WEIGHTS else ', '.join(names(kind))}")
-    lines.append("fide doctor --verbose tries each of them, and says what is missing for it")
-    return "\n".join(lines)
-
-
-def _usable(kind: str) -> str:
-    """Names that can be used here, and after them those that cannot, as without their weights."""
-    found = problems(kind)
-    groups = {
-        "": [name for name, problem in found.items() if not problem],
-        "not here: ": [name for name, problem in found.items() if problem],
-    }
-    return "; ".join(f"{what}{', '.join(each)}" for what, each in groups.items() if each)
-
-
-def _versions_of_extras() -> dict[str, str | None]:
-    """Of the first package of each."""
-    return {extra: machine.version_of(packages[0]) for extra, packages in EXTRAS.items()}
-
-
-def examine() -> dict[str, Any]:
+def examine(everything: bool = True) -> dict[str, Any]:
     """Versions, machine, and for each name None or the reason why it cannot be used."""
     import torch  # noqa: F401  `machine` reports devices only if it is imported
 
@@ -84,9 +44,9 @@ def examine() -> dict[str, Any]:
         "versions": machine.versions(),
         "machine": machine.machine(),
         "opencv": opencv,
-        "mitsuba": _try_mitsuba(),
-        **{kind: problems(kind) for kind in KINDS},
-        "extras": _versions_of_extras(),
+        **({"mitsuba": _try_mitsuba()} if everything else {}),
+        **{kind: problems(kind) for kind in (KINDS if everything else WITH_WEIGHTS)},
+        "extras": {extra: machine.version_of(packages[0]) for extra, packages in EXTRAS.items()},
     }
 
 
@@ -99,9 +59,8 @@ def _try_mitsuba() -> dict[str, str]:
     facts = {}
     for short, name in mitsuba_variant.VARIANTS.items():
         problem = mitsuba_variant.problem_with(short)
-        facts[name] = plain(
-            f"no: {problem}; {mitsuba_variant.REMEDIES[short]}" if problem else "ok"
-        )
+        remedy = mitsuba_variant.REMEDIES[short] if problem else ""
+        facts[name] = plain(f"no: {problem}; {remedy}") if problem else "ok"
     return facts
 
 
@@ -115,8 +74,8 @@ def _text(facts: dict[str, Any]) -> str:
     sections = {**facts, "machine": computer, "opencv": opencv, "extras": extras}
     lines = []
     for title, table in sections.items():
-        lines += ["", title]
         width = max(map(len, table), default=0)
+        lines += ["", title]
         lines += [f"  {name:{width}}  {'ok' if v is None else v}" for name, v in table.items()]
     return "\n".join(lines[1:])
 

@@ -50,7 +50,6 @@ from fide_plugins.cli.terminal import (
     as_typed,
     complain,
     continuation,
-    duration,
     note,
     number,
     paragraph,
@@ -60,6 +59,7 @@ from fide_plugins.cli.terminal import (
 )
 from fide_plugins.errors import DependencyError, FideError, ImageError, OptionError, RenderError
 from fide_plugins.runtime import laboratory
+from fide_plugins.runtime.messages import duration
 from fide_plugins.validation.options import positive_fraction
 
 if TYPE_CHECKING:
@@ -232,16 +232,17 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
     from fide_plugins.fitting.stopping import Stopping
     from fide_plugins.fitting.workers import default_number
     from fide_plugins.recording.storage import read_run
-    from fide_plugins.watch import LiveFile
 
     render, space, timeout = _renderer(args)
     values = value_range_of(args.value_range)
-    targets, mask, weights = pictures(
+    targets, weights = pictures(
         args.targets, args.size, args.mask, args.weights, raw=values is not None
     )
     options = {"loss": args.loss, **optimizer_options(args)}
     given = {name: getattr(args, name) for name in ("encoder", "learned", *_COMPARISON)}
-    given |= {"mask": mask, "weights": weights, "value_range": values}
+    given["value_range"] = values
+    if any(one is not None for one in weights):
+        given["weights"] = weights[0] if len(weights) == 1 else weights
     options |= {name: value for name, value in given.items() if value is not None}
     until, share = args.until or "solved", args.max_failures
     endless = args.budget is None and (args.time is not None or until == "stalled")
@@ -254,7 +255,7 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
 
     def check(optimizer: FIDE) -> None:
         if read_run(out) is None:
-            renders.check_first(optimizer, targets, args.targets)
+            renders.check_first(optimizer)
 
     fitting = prepare(
         render,
@@ -268,7 +269,6 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
         out=out,
         resume=args.resume,
         command=command,
-        callbacks=[LiveFile()] if args.live else [],  # `fide watch` reads checkpoints
         progress=True if sys.stderr.isatty() else lines("fide fit"),
         check=check,
         fidelity=renders.fidelity,
@@ -294,27 +294,21 @@ def _renderer(args: argparse.Namespace) -> tuple[Any, Any, Any]:
 
 
 def _keep_pictures(renders: Renders, result: Any, out: Path) -> None:
-    """Render further solutions for `fide solutions`; those that fail stay without an image.
-
-    Each is one render, which the budget does not count.  Those that are stored already stay.
-    """
+    """Render further solutions for `fide solutions`; those that fail stay without an image."""
     import numpy as np
 
     from fide_plugins import solutions as stored
     from fide_plugins.fitting.pictures import as_compared, picture
     from fide_plugins.fitting.rendering import Rendered
 
-    known = stored.read_images(out)
     points = [one.x for one in result.solutions[1:]]
-    new = [x for x in points if stored.image_of(known, x) is None]
-    if not new:
-        return
-    for x, outcome in zip(new, renders(result.optimizer, np.array(new)), strict=True):
+    outcomes = renders(result.optimizer, np.array(points)) if points else []
+    kept: list[tuple[Any, Any]] = []
+    for x, outcome in zip(points, outcomes, strict=True):
         if isinstance(outcome, Rendered):
             with suppress(ImageError):  # no image that fits is a render that failed, too
                 image = as_compared(result.optimizer, outcome.image)
-                known.append((x, picture(result.optimizer, image)))
-    kept = [(x, image) for x, image in known if any(np.array_equal(x, one) for one in points)]
+                kept.append((x, picture(result.optimizer, image)))
     if kept:
         stored.write_images(out, [x for x, _ in kept], [image for _, image in kept])
 
@@ -340,7 +334,7 @@ def _summary(result: Any, out: Path) -> dict[str, Any]:
 def _note_found(result: Result | None) -> None:
     """Say what a fit had found when it ended early."""
     if result is not None and result.best is not None:
-        note(f"best loss {number(result.best.loss)}\n" + _parameters(result.best))
+        note(f"best loss {number(result.best.loss)}\n{_parameters(result.best)}")
 
 
 def _parameters(best: Solution) -> str:
@@ -362,19 +356,10 @@ def _report(result: Result, out: Path) -> None:
     )
     print(f"{result.evaluations} renders{coarse} in {duration(result.seconds)}, {stopped}{failed}")
     if result.best is None:
-        print(_without_best(result))
+        print("there is no image with a finite loss; fide check looks at the renderer")
         return
     print(plain(result.status))
     print(_parameters(result.best))
     if result.std_renders:
         print(f"± one standard deviation, from {result.std_renders} more renders around the answer")
     print(f"look at {picture_in(out)}, or: {as_typed(['fide', 'solutions', str(out)])}")
-
-
-def _without_best(result: Any) -> str:
-    """Why a fit has no best candidate."""
-    if result.evaluations:
-        return "no render has a finite loss"
-    if not result.failures:
-        return "nothing was rendered in that time; give more --time"
-    return "no render gave an image; fide check shows the first error"

@@ -22,7 +22,6 @@ from typing import Any
 from fide_plugins.cli.arguments import (
     add_space_argument,
     function_of,
-    lists,
     path,
     program_of,
     setting,
@@ -74,8 +73,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "(RGBA, or image and coverage), for photographs")  # fmt: skip
     add("--emulator", action=argparse.BooleanOptionalAction,
         help="a learned renderer, too (where parameters are exchangeable)")  # fmt: skip
-    add("--groups", type=lists, metavar="'[[0,1],[2,3]]'",
-        help="exchangeable blocks of parameters, [] for none (those of the space)")  # fmt: skip
     add("--device", default="auto", help="where the network trains: auto, cpu or cuda (auto)")
     add("--out", type=path, required=True, metavar="MODEL", help="file of the model")
     add("--resume", action="store_true", help="go on with the renders that are there")
@@ -83,46 +80,41 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
-    who = "fide learn"
-    try:
-        arguments = _arguments(args)
-        _check_free(args)
-    except RenderError as error:
-        note(f"{who}: {paragraph(error)}")
-        return 1
-    except USAGE_ERRORS as error:
-        return complain(who, error)
-    return _learn(args, command, arguments)
-
-
-def _learn(args: argparse.Namespace, command: list[str], arguments: dict[str, Any]) -> int:
-    """Learn, with messages and exit codes."""
     from fide_plugins.learning import learn
     from fide_plugins.recording.signals import Interrupted, Interrupts
 
-    who = "fide learn"
-    try:
-        with (
-            warnings_as_notes(who),
-            Interrupts() as interrupts,
-            interrupts.stoppable(),  # each file is written at once
-        ):
-            model = learn(**arguments, on_progress=_lines())
-    except Interrupted as stop:
-        note(f"{who}: {stop}; {_KEPT} {plain(args.out)}.renders")
-        note(f"continue with: {continuation(command)}")
-        return 128 + stop.signum
-    except (OptionError, DeviceError, ImportError) as error:
-        return complain(who, error)
-    except (FideError, OSError) as error:
-        note(f"{who}: it stopped: {paragraph(error)}")
-        if any(Path(f"{args.out}.renders").glob("*.npz")):
-            note(f"{_KEPT} {plain(args.out)}.renders")
-            note(f"when that is mended, continue with: {continuation(command)}")
-        return 1
+    who, begun = "fide learn", False
+    with warnings_as_notes(who), Interrupts() as interrupts:
+        try:
+            arguments = _arguments(args)
+            _check_free(args)
+            begun = True
+            with interrupts.stoppable():  # each file is written at once
+                model = learn(**arguments, on_progress=_lines())
+        except Interrupted as stop:
+            note(f"{who}: {stop}; {_KEPT} {plain(args.out)}.renders")
+            note(f"continue with: {continuation(command)}")
+            return 128 + stop.signum
+        except RenderError as error:
+            note(f"{who}: {'it stopped: ' * begun}{paragraph(error)}")
+            return _stopped(args, command)
+        except USAGE_ERRORS as error:
+            if not begun or isinstance(error, OptionError | DeviceError | ImportError):
+                return complain(who, error)
+            if not isinstance(error, FideError | OSError):
+                raise
+            note(f"{who}: it stopped: {paragraph(error)}")
+            return _stopped(args, command)
     print(model.report)
     print(f"use it with: --learned {plain(shlex.quote(str(args.out)))}")
     return 0
+
+
+def _stopped(args: argparse.Namespace, command: list[str]) -> int:
+    if any(Path(f"{args.out}.renders").glob("*.npz")):
+        note(f"{_KEPT} {plain(args.out)}.renders")
+        note(f"when that is mended, continue with: {continuation(command)}")
+    return 1
 
 
 def _check_free(args: argparse.Namespace) -> None:
@@ -142,8 +134,8 @@ def _arguments(args: argparse.Namespace) -> dict[str, Any]:
 
     render, space = _renderer(args)
     same = (
-        "renders", "size", "passes", "seed", "augment", "backgrounds", "emulator", "groups",
-        "device", "out", "workers",
+        "renders", "size", "passes", "seed", "augment", "backgrounds", "emulator", "device", "out",
+        "workers",
     )  # fmt: skip
     time = None if args.time is None else seconds_of("time", args.time)
     given = {name: getattr(args, name) for name in same}

@@ -20,22 +20,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
-    if args.kind not in WITH_WEIGHTS:
-        print("\n".join(names(args.kind)), flush=True)
-        if args.kind == "tasks":
-            # to standard error: it is no name, so not for a program that reads them
-            note("\nmore scenes, not of the paper:")
-            print("\n".join(_more_tasks()))
+    if args.kind in WITH_WEIGHTS:
+        found = problems(args.kind)
+        width = max(map(len, found))
+        for name, problem in found.items():
+            print(name if problem is None else f"{name:{width}}  not here: {problem}")
         return 0
-    found = problems(args.kind)
-    width = max(map(len, found))
-    for name, problem in found.items():
-        print(name if problem is None else f"{name:{width}}  not here: {problem}")
+    print("\n".join(names(args.kind)), flush=True)
+    if args.kind == "tasks":
+        import fide_tasks
+
+        # to standard error: it is no name, so not for a program that reads them
+        note("\nmore scenes, not of the paper:")
+        print("\n".join(n for n in fide_tasks.names("all") if n not in fide_tasks.names()))
     return 0
-
-
-def _more_tasks() -> list[str]:
-    """Names of the tasks that are not of the paper."""
-    import fide_tasks
-
-    return [name for name in fide_tasks.names("all") if name not in fide_tasks.names()]

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from fide_plugins.cli.terminal import note, number, plain
 from fide_plugins.recording.record import PARTS, Progress, Report
+from fide_plugins.runtime.messages import duration
 
 _FIRST, _EVERY = 5.0, 60.0  # seconds until the first line, and between two: for a log file
 _FEW = 8  # renders that an estimate of the time left needs
@@ -38,44 +39,27 @@ def lines(what: str) -> Report:
         if now < following and not at_end:
             return
         following = now + interval(_FIRST)
-        here = progress.evaluations - first[0]
-        rate = here / max(progress.wall_s - first[1], 1e-9)
-        best = f"best {number(progress.best_loss)}" if math.isfinite(progress.best_loss) else ""
-        done = f"{progress.evaluations}/{progress.budget}".removesuffix("/0")
-        left = _left(progress, rate) if here >= _FEW else ""
-        parts = what, done, best, _speed(rate), left, _shares(progress), progress.remark
-        note("  ".join(filter(None, parts)))
+        done = progress.evaluations - first[0]
+        each = (progress.wall_s - first[1]) / max(done, 1)
+        note("  ".join(filter(None, _parts(what, progress, each, done))))
 
     return report
 
 
-def _shares(progress: Progress) -> str:
-    """Percentage of the time of each part; empty before the first evaluation."""
-    if not progress.evaluations:
-        return ""
-    total = max(progress.wall_s, 1e-9)
-    return "  ".join(f"{part} {progress.times[part] / total:.0%}" for part in PARTS)
-
-
-def _speed(rate: float) -> str:
-    """Renders per second, all workers together; below one, the seconds of a render."""
-    if rate >= 1:
-        return f"{rate:.{1 if rate < 9.95 else 0}f} renders/s"
-    return f"{1 / rate:.1f} s a render" if rate > 0 else ""
-
-
-def _left(progress: Progress, rate: float) -> str:
-    """Time until the budget or the time limit ends the run; empty where it is not known."""
-    limits = []
-    if progress.budget:
-        limits.append((progress.budget - progress.evaluations) / max(rate, 1e-9))
-    if progress.time is not None:
-        limits.append(progress.time - progress.wall_s)
-    seconds = min(limits, default=0.0)
-    for size, unit, most in ((1, "s", 90), (60, "min", 90 * 60), (3600, "h", math.inf)):
-        if 0 < seconds < most:
-            return f"about {max(1, round(seconds / size))} {unit} left"
-    return ""
+def _parts(what: str, progress: Progress, each: float, done: int) -> Iterator[str]:
+    """Parts of a line; each: seconds of a render, all workers together; done: in this call."""
+    yield what
+    yield f"{progress.evaluations}/{progress.budget}".removesuffix("/0")
+    yield f"best {number(progress.best_loss)}" if math.isfinite(progress.best_loss) else ""
+    yield f"{duration(each)} a render" if done else ""
+    limits = [(progress.budget - progress.evaluations) * each] if progress.budget else []
+    limits += [] if progress.time is None else [progress.time - progress.wall_s]
+    left = min(limits, default=0.0) if done >= _FEW else 0.0
+    yield f"about {duration(left)} left" if left > 0 else ""
+    if progress.evaluations:
+        total = max(progress.wall_s, 1e-9)
+        yield "  ".join(f"{part} {progress.times[part] / total:.0%}" for part in PARTS)
+    yield progress.remark
 
 
 @contextmanager

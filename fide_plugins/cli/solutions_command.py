@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 from typing import Any
 
 from fide_plugins.cli.arguments import path, whole
@@ -37,7 +36,7 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
     from fide_plugins import solutions
     from fide_plugins.encoders.own import referenced
-    from fide_plugins.recording.parameters import rows
+    from fide_plugins.recording.parameters import rows, solutions_as_data
 
     try:
         encoder = None if args.encoder is None else referenced(args.encoder)
@@ -52,7 +51,9 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
     except USAGE_ERRORS as error:
         return complain("fide solutions", error)
     if args.json:
-        print(json.dumps([_data(one) for one in found.solutions], allow_nan=False))
+        more = ({"params": s.params, "undetermined": s.undetermined} for s in found.solutions)
+        data = [a | b for a, b in zip(solutions_as_data(found.solutions), more, strict=True)]
+        print(json.dumps(data, allow_nan=False))
         return 0
     print("\n".join(_table(found, rows(found.solutions))))
     if output is not None:
@@ -87,17 +88,3 @@ def _table(found: Any, rows: Any) -> list[str]:
     if open_ones:
         lines.append(f"not determined by the picture: {', '.join(open_ones)}")
     return lines
-
-
-def _data(solution: Any) -> dict[str, Any]:
-    from fide_plugins.recording.parameters import is_rough
-
-    std = solution.std
-    return {
-        **{name: getattr(solution, name) for name in ("loss", "evaluation", "params")},
-        "x": solution.x.tolist(),
-        "rough": is_rough(solution),
-        "std": None if std is None else [None if math.isnan(s) else s for s in std.tolist()],
-        "undetermined": list(solution.undetermined),
-        "probability": solution.probability,
-    }

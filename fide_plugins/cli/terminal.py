@@ -1,4 +1,4 @@
-"""Text for a terminal: one line per message, without control characters; and its streams."""
+"""Text for a terminal: one line per message, without control characters."""
 
 from __future__ import annotations
 
@@ -59,15 +59,17 @@ def note(text: str) -> None:
         discard(sys.stderr)
 
 
+def discard(stream: Any) -> None:
+    """What is printed to a stream is lost from now on, and what it has not written yet."""
+    with suppress(OSError, ValueError, AttributeError), open(os.devnull, "wb") as nowhere:
+        os.dup2(nowhere.fileno(), stream.fileno())
+
+
 @contextmanager
 def notices(logger: str) -> Iterator[None]:
     """Within this block, print the messages of a logger to standard error."""
-
-    class Notes(logging.Handler):
-        def emit(self, record: logging.LogRecord) -> None:
-            note(plain(record.getMessage()))
-
-    log, handler = logging.getLogger(logger), Notes(logging.INFO)
+    log, handler = logging.getLogger(logger), logging.Handler(logging.INFO)
+    handler.emit = lambda record: note(plain(record.getMessage()))  # type: ignore[method-assign]
     before = log.level, log.propagate
     log.addHandler(handler)
     log.setLevel(logging.INFO)
@@ -109,72 +111,3 @@ def write_figure(who: str, path: Path, make: Callable[[], bytes]) -> Path | None
 def number(value: float | None) -> str:
     """Format a loss."""
     return "none" if value is None else f"{value:.4g}"
-
-
-def duration(seconds: float) -> str:
-    """Format a duration in seconds."""
-    if seconds < 60:
-        return f"{seconds:.1f} s"
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min {rest:02d} s"
-
-
-# -- standard streams: closed by whoever started the command, or leading to a full disk ------------
-
-
-class OutputError(Exception):
-    """Standard output cannot be written; says why."""
-
-
-@contextmanager
-def standard_streams() -> Iterator[None]:
-    """Within this block, closed streams lead nowhere, and output that is lost is an `OutputError`.
-
-    A file that was opened where standard error is closed would get the messages.  A pipe that
-    nobody reads any longer stays a BrokenPipeError.
-    """
-    for descriptor in range(3):
-        try:
-            os.fstat(descriptor)
-        except OSError:
-            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # the lowest that is free
-    before = sys.stdin, sys.stdout, sys.stderr
-    with open(os.devnull) as nothing, open(os.devnull, "w") as nowhere:
-        sys.stdin, sys.stderr = before[0] or nothing, before[2] or nowhere
-        sys.stdout = _Output(before[1] or nowhere)
-        try:
-            yield
-            sys.stdout.flush()
-        finally:
-            sys.stdin, sys.stdout, sys.stderr = before
-
-
-def discard(stream: Any) -> None:
-    """What is printed to a stream is lost from now on, and what it has not written yet."""
-    with suppress(OSError, ValueError, AttributeError), open(os.devnull, "wb") as nowhere:
-        os.dup2(nowhere.fileno(), stream.fileno())
-
-
-class _Output:
-    """Standard output, whose errors are told from those of the files of a run."""
-
-    def __init__(self, stream: Any) -> None:
-        self._stream = stream
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._stream, name)
-
-    def write(self, text: str) -> int:
-        return int(self._told(self._stream.write, text))
-
-    def flush(self) -> None:
-        self._told(self._stream.flush)
-
-    def _told(self, call: Callable[..., Any], *arguments: Any) -> Any:
-        try:
-            return call(*arguments)
-        except BrokenPipeError:
-            raise
-        except OSError as error:
-            raise OutputError(error.strerror or str(error)) from error

@@ -29,15 +29,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
-    from fide_plugins.recording.storage import RunDirectoryError
     from fide_plugins.watch import serve
 
     if not args.directory.is_dir():
         return complain("fide watch", f"there is no directory {plain(args.directory)}")
     try:
         server, url = serve(args.directory, args.port)
-    except RunDirectoryError as error:
-        return complain("fide watch", error)
     except (OSError, ValueError, OverflowError) as error:
         return complain("fide watch", f"cannot serve on port {args.port}: {plain(error)}")
     print(f"{url} shows {plain(args.directory)}; Ctrl-C ends it", flush=True)

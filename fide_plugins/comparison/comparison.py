@@ -49,7 +49,7 @@ class Comparison:
     """How renders are compared with a target.
 
     views: of the target.
-    loss: of views, such as `views.loss.loss_of(views, "mse")`.
+    loss: of views, such as `views.compared.loss_of(views, "mse")`.
     loss_at: makes the same loss for views whose targets are blurred; None: the loss is a user's own
         and knows one target; it gets the target with the blurred difference.
     light: "none", "exposure" or "shading": what of it is set aside.

@@ -79,11 +79,7 @@ class _OverError(Exception):
 
 @dataclass(eq=False)
 class _Seen:
-    """What steps on one axis have shown.
-
-    slopes: (h, w, 3) of each view, reduced.  curvature: energy of the second difference beside that
-    of the first; None: one side is known only.  least: what may be claimed.
-    """
+    """What steps on one axis have shown."""
 
     slopes: list[Float64]
     curvature: float | None
@@ -127,10 +123,7 @@ def _look_closer(around: _Around, seen: dict[int, _Seen]) -> None:
 
 
 def _look_farther(around: _Around, seen: dict[int, _Seen]) -> None:
-    """Double the step where nothing changes; what the renders do not suffice for stays unknown.
-
-    With few renders it grows faster, which finds what nothing shows, and leaves others unknown.
-    """
+    """Double the step where nothing changes; what the renders do not suffice for stays unknown."""
     still = {axis: one.step for axis, one in seen.items() if not one.changed}
     while still:
         rounds = max(1.0, around.left // (2 * len(still)))

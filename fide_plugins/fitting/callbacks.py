@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -92,18 +92,25 @@ class Event:
 
 
 class Callbacks:
-    """Several callbacks as one.
-
-    given: a callback, or a list or tuple of them.
+    """Several callbacks as one; given: a callback, or a list or tuple of them.
 
     Raises OptionError (a ValueError) for one that is neither callable nor has any of the methods.
     """
 
     def __init__(self, given: object) -> None:
-        several: Iterable[object] = given if isinstance(given, list | tuple) else [given]
         self._methods: dict[str, list[Callable[[Any], object]]] = {name: [] for name in _METHODS}
-        for callback in several:
-            self._add(callback)
+        for callback in given if isinstance(given, list | tuple) else [given]:
+            methods = {name: getattr(callback, name, None) for name in _METHODS}
+            if not any(map(callable, methods.values())):
+                methods = {"on_evaluation": callback}
+            for name, method in methods.items():
+                if callable(method):
+                    self._methods[name].append(method)
+                elif len(methods) == 1:
+                    raise OptionError(
+                        f"a callback must be a function or have one of {', '.join(_METHODS)}, "
+                        f"not {callback!r}"
+                    )
 
     def __bool__(self) -> bool:
         return any(self._methods.values())
@@ -124,19 +131,6 @@ class Callbacks:
                 raise CallbackError(f"a callback failed in {name}: {error!r}") from error
         return stops
 
-    def _add(self, callback: object) -> None:
-        found = {name: getattr(callback, name, None) for name in _METHODS}
-        methods = {name: method for name, method in found.items() if callable(method)}
-        if not methods and callable(callback):
-            methods = {"on_evaluation": callback}
-        if not methods:
-            raise OptionError(
-                f"a callback must be a function or have one of {', '.join(_METHODS)}, "
-                f"not {callback!r}"
-            )
-        for name, method in methods.items():
-            self._methods[name].append(method)
-
 
 def check_progress(progress: object) -> None:
     """Raise OptionError (a ValueError) unless it is True, False, None or a function."""
@@ -146,29 +140,20 @@ def check_progress(progress: object) -> None:
 
 @contextmanager
 def reporting(progress: object) -> Iterator[Report | None]:
-    """Context that gives a function which shows progress; None: nothing is to be shown.
-
-    progress: None: a bar if standard error is a terminal; True: a bar; False: nothing; or a
-        function of a `Progress`.
-
-    Raises OptionError (a ValueError).
-    """
-    check_progress(progress)
-    if progress is None:
-        progress = sys.stderr is not None and sys.stderr.isatty()
-    if callable(progress) or not progress:
-        yield progress if callable(progress) else None
-        return
-    try:
-        yield _show
-    finally:
-        print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+    """Context that gives a function which shows progress, as for `fit`; None: nothing is shown."""
+    if callable(progress):
+        yield progress
+    elif progress or (progress is None and sys.stderr is not None and sys.stderr.isatty()):
+        try:
+            yield _show
+        finally:
+            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+    else:
+        yield None
 
 
 def _show(progress: Progress) -> None:
     """Write a line over the one before."""
-    done, best = f"{progress.evaluations}/{progress.budget or '-'}", ""
-    if math.isfinite(progress.best_loss):
-        best = f"  best {progress.best_loss:.3g}"
-    words = f"{done}  {progress.wall_s:.0f} s{best}  {progress.remark}"
-    print(f"\r{words}\x1b[K", end="", file=sys.stderr, flush=True)
+    best = f"  best {progress.best_loss:.3g}" if math.isfinite(progress.best_loss) else ""
+    done = f"{progress.evaluations}/{progress.budget or '-'}  {progress.wall_s:.0f} s"
+    print(f"\r{done}{best}  {progress.remark}\x1b[K", end="", file=sys.stderr, flush=True)

@@ -8,121 +8,78 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 from itertools import combinations
 from statistics import median
-from typing import Any, Literal, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from fide_plugins.errors import ImageError
 from fide_plugins.fitting.pictures import side_by_side
 from fide_plugins.fitting.rendering import Failed, Outcome, Renderer
-from fide_plugins.fitting.workers import Workers, default_number, gathered, workers_for
+from fide_plugins.fitting.workers import default_number, gathered, workers_for
 from fide_plugins.recording.figures import Panel, draw_image, figure_as_png, plain, thumbnail
 from fide_plugins.renderers.naming import described, flat
-from fide_plugins.runtime.messages import counted
+from fide_plugins.runtime.messages import counted, duration
 from fide_plugins.runtime.plotting import new_figure
-from fide_plugins.space import Float, Kind, Space
+from fide_plugins.space import Float, Space
 from fide_plugins.space.constraints import constraints_of
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.images import as_pixels
 from fide_plugins.validation.options import seconds_of
 
-__all__ = ["Facts", "advice", "as_data", "check", "duration", "figure", "lines"]
+__all__ = ["Facts", "advice", "as_data", "check", "figure", "lines"]
 
-_MOST_VALUES = 5  # of an integer or a choice
 _FAST = 0.005  # seconds of a render below which sending it to another process is most of the work
 _POINTS, _DRAWN, _TRIED = 8, 1000, 3  # random points; drawn for these; tried for silent parameters
 _LOUDER, _ROUNDING = 1.25, 1e-7  # times the noise, of the range: from which a difference is one
-_ALIKE = 0.02  # of the largest change, by which the ends of a turn may differ
 _BYTES = 32.0, 280.0  # largest values that look like 0 to 255
 _OVERSHOOT = 0.5  # of [0, 1], which is no other range
 _LEAST, _EACH, _EACH_OF_MANY, _MANY = 2000, 100, 150, 100  # renders of a fit: docs/howto/budget.md
 _OWN = 0.001  # seconds that the optimizer itself takes for a candidate
-_EYE = 0.5 / 255  # below it nothing changes in a picture of 8 bits
-_TURNS = (180.0, 360.0, math.pi, 2 * math.pi)
 _SHOWN, _NAMED, _REASONS = 40, 8, 3  # parameters in the picture, names in a sentence, failures
 
 Views = list[Float32]
-"""Views (H, W, C) of a render; bytes are divided by 255, NaN is the least value."""
-Where = Literal["center", "elsewhere", "nowhere", "unknown"]
-"""Where a parameter changes the image; unknown: too few of its renders gave one."""
-
-
-class Difference(NamedTuple):
-    """Of two images: root mean square and largest absolute value; infinite for two sizes."""
-
-    rms: float
-    most: float
+"""Views (H, W, C) of a render; bytes are divided by 255, NaN is 0."""
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """A parameter, and a point (k, dim) for each of its values; texts: of the values."""
+    """A parameter, a point (k, dim) for each of its values, and these as texts."""
 
     name: str
-    unit: str | None
+    label: str
     axes: list[int]
     range: str
     X: Float64 = field(repr=False)
     texts: list[str]
-    kind: Kind | None
-
-    def elsewhere(self, base: Float64) -> Float64:
-        """Points (n, dim) that are as the point (dim,) but for this parameter."""
-        if len(self.axes) > 1 or (self.kind is not None and self.kind.scale.step):
-            X = np.repeat(base[None], len(self.X), axis=0)
-            X[:, self.axes] = self.X[:, self.axes]
-            return X
-        X = np.repeat(base[None], 2, axis=0)  # no value twice, no symmetry
-        X[:, self.axes[0]] = (base[self.axes[0]] + np.array([0.37, 0.71])) % 1.0
-        return X
 
 
 def sweeps(space: Space | int, center: Float64) -> list[Sweep]:
     """A sweep around the point (dim,) of each parameter that can vary."""
-    found = []
+    unnamed = isinstance(space, int)
     if isinstance(space, int):
-        for i in range(space):
-            X = np.repeat(center[None], 3, axis=0)
-            X[:, i] = (0.0, 0.5, 1.0)
-            found.append(Sweep(f"x[{i}]", None, [i], "0 to 1", X, ["0", "0.5", "1"], None))
-        return found
-    for i, (name, kind) in enumerate(space.parameters.items()):
-        axes, placed = space.axes[name], np.array([[0.0], [0.5], [1.0]])
+        known = Space(**{f"x{i}": Float(0, 1) for i in range(space)})
+    else:
+        known = space
+    found = []
+    for i, (name, kind) in enumerate(known.parameters.items()):
+        axes, (low, high, step, _) = known.axes[name], kind.scale
         if not axes:
             continue
-        if numbers := _numbers(kind):
-            V = np.repeat(space.layout.numbers(center[None]), len(numbers), axis=0)
-            V[:, i] = numbers
-            placed = space.layout.points(V)[:, axes]
-        X = np.repeat(center[None], len(placed), axis=0)
-        X[:, axes] = placed
-        values = [dict(flat(params))[name] for params in space.decode_many(X)]
+        X = np.repeat(center[None], 3, axis=0)
+        X[:, axes] = np.array([[0.0], [0.5], [1.0]])
+        if step:  # at most five of its values
+            count = round((high - low) / step)
+            V = np.repeat(known.layout.numbers(center[None]), min(count + 1, 5), axis=0)
+            V[:, i] = low + np.round(np.linspace(0, count, len(V))) * step
+            X = np.repeat(center[None], len(V), axis=0)
+            X[:, axes] = known.layout.points(V)[:, axes]
+        values = [dict(flat(params))[name] for params in known.decode_many(X)]
         texts = [f"{value:.4g}" if isinstance(value, float) else str(value) for value in values]
-        found.append(Sweep(name, kind.unit, axes, _range(kind), X, texts, kind))
+        limits = f"{low:g} to {high:g}" if hasattr(kind, "low") else f"{round(high) + 1} values"
+        name = f"x[{i}]" if unnamed else name
+        label = name if kind.unit is None else f"{name} [{kind.unit}]"
+        found.append(Sweep(name, label, axes, limits, X, texts))
     return found
-
-
-def _numbers(kind: Kind) -> list[float]:
-    """Numbers of its values, at most five of them; none if it is continuous."""
-    low, high, step, log = kind.scale
-    if not step:
-        return []
-    count = round((high - low) / step)
-    if log and count >= _MOST_VALUES:
-        steps = np.geomspace(low, high, _MOST_VALUES) - low
-    else:
-        steps = np.linspace(0, count, min(count + 1, _MOST_VALUES)) * step
-    return list(dict.fromkeys(float(low + round(one / step) * step) for one in steps))
-
-
-def _range(kind: Kind) -> str:
-    low, high, step, log = kind.scale
-    if not hasattr(kind, "low"):
-        return f"{round(high) + 1} values"
-    notes = ["log"] * log + ["periodic"] * (getattr(kind, "periodic", False) is True)
-    if step and step != 1:
-        notes.append(f"step {step:g}")
-    return f"{low:g} to {high:g}" + (f" ({', '.join(notes)})" if notes else "")
 
 
 @dataclass(eq=False)
@@ -130,15 +87,14 @@ class Effect:
     """What a parameter does.
 
     pictures: (h, w, 3) of its values, reduced; None where the render failed.
-    change: largest difference of two of them.  ends_alike: whether the first equals the last, and
-    the middle neither.
+    change: largest RMS difference of two of them; None where too few renders gave an image.
+    where: it changes the image: "center", "elsewhere", "nowhere" or "unknown".
     """
 
     sweep: Sweep
     pictures: list[Float32 | None]
-    change: Difference | None
-    where: Where
-    ends_alike: bool
+    change: float | None
+    where: str
 
 
 @dataclass
@@ -160,8 +116,8 @@ class Facts:
     shapes: (H, W, C) of all views, as they occurred; kinds: types of their numbers.
     not_finite, constant, outside: images with NaN or infinite values, of one color, and with values
         outside of [0, 1].
-    first, median, slowest: seconds of the first render, of all others, and of the longest.
-    noise: largest difference of renders of one point.
+    median: seconds of a render, without the first one.
+    noise: largest RMS difference of renders of one point.
     points: where parameters were tried that change nothing at the center.
     kills: whether a render ended its process, or was stopped for its time.
     """
@@ -180,11 +136,9 @@ class Facts:
     not_finite: int = 0
     constant: int = 0
     outside: int = 0
-    first: float = 0.0
     median: float = 0.0
-    slowest: float = 0.0
     number: int = 1
-    noise: Difference | None = None
+    noise: float | None = None
     points: int = 0
     kills: bool = False
     effects: list[Effect] = field(default_factory=list)
@@ -202,17 +156,15 @@ class Facts:
         return _BYTES[0] <= self.high <= _BYTES[1] and self.low >= -0.1 * self.high
 
     @property
-    def ends(self) -> tuple[float, float]:
-        """Black and white, in which images are shown."""
-        if self.bytes_as_floats:
-            return 0.0, 255.0
-        black = 0.0 if self.low >= -_OVERSHOOT else self.low
-        return black, 1.0 if self.high <= 1 + _OVERSHOOT else self.high
+    def black(self) -> float:
+        """Value that is shown as black."""
+        return 0.0 if self.bytes_as_floats or self.low >= -_OVERSHOOT else self.low
 
     @property
     def span(self) -> float:
-        """Width of it, in which differences are told."""
-        return self.ends[1] - self.ends[0]
+        """From black to white, in which differences are told."""
+        white = 1.0 if self.high <= 1 + _OVERSHOOT else self.high
+        return (255.0 if self.bytes_as_floats else white) - self.black
 
     @property
     def budget(self) -> int:
@@ -236,22 +188,19 @@ def check(
     *,
     workers: int | None = None,
     timeout: float | str | None = None,
-    told: Callable[[int, float], None] = lambda renders, seconds: None,
 ) -> Facts:
     """Render a few points, and find what to know before a fit.
 
     render, space, timeout: as for `fit`.
     workers: renders at a time; None: as many as there are cores, at most 8.
-    told: gets how many renders are still to come at least, and about how many seconds they take.
 
     A render that fails is counted.  Raises OptionError (a ValueError).
     """
     begun = time.perf_counter()
     limit = None if timeout is None else seconds_of("timeout", timeout)
-    renderer = Renderer(render, space if isinstance(space, Space) else None)
-    run = _Check(renderer, space, limit, workers)
+    run = _Check(render, space, limit, 1 if workers is None else min(workers, 1))
     try:
-        run.execute(told)
+        run.execute(default_number() if workers is None else workers, workers is None)
     finally:
         run.pool.close()
     run.facts.seconds = time.perf_counter() - begun
@@ -260,20 +209,20 @@ def check(
 
 class _Check:
     def __init__(
-        self, renderer: Renderer, space: Space | int, limit: float | None, workers: int | None
+        self, render: Callable[[Any], object], space: Space | int, limit: float | None, number: int
     ) -> None:
         dim = space if isinstance(space, int) else space.dim
         self.facts = Facts(dim, len(sweeps(space, np.full(dim, 0.5))))
-        self.pool: Workers = workers_for(
-            renderer, 1 if workers is None else min(workers, 1), None, limit
-        )
-        self._renderer, self._space, self._limit, self._given = renderer, space, limit, workers
-        self._constraints = constraints_of(renderer.space, None)
+        self._renderer = Renderer(render, space if isinstance(space, Space) else None)
+        self.pool = workers_for(self._renderer, number, None, limit)
+        self._space, self._limit = space, limit
+        self._constraints = constraints_of(self._renderer.space, None)
         self._seconds: list[float] = []
         self._rng = np.random.default_rng(0)
 
-    def execute(self, told: Callable[[int, float], None]) -> None:
-        facts, workers = self.facts, self._given
+    def execute(self, number: int, free: bool) -> None:
+        """Render; number: of workers, or one for fast renders where that is `free`."""
+        facts = self.facts
         bases = self._rng.random((_POINTS, facts.dim))
         if self._constraints is not None:
             drawn = self._rng.random((_DRAWN, facts.dim))
@@ -282,22 +231,18 @@ class _Check:
         if found is None:
             return
         center, image = found
-        repeats = [image, *self._images(np.repeat(center[None], 2, axis=0))]
-        facts.noise = _largest(repeats)
-        each = min(self._seconds[1:], default=facts.first)
-        facts.number = default_number() if workers is None else workers
-        number = 1 if each < _FAST and workers is None else facts.number
+        facts.noise = _largest([image, *self._images(np.repeat(center[None], 2, axis=0))])
+        each = min(self._seconds)
+        facts.number = number
+        number = 1 if each < _FAST and free else number
         if number != self.pool.number:
             self.pool.close()
             self.pool = workers_for(self._renderer, number, None, self._limit)
         plan = sweeps(self._space, center)
-        count = _POINTS + sum(len(sweep.X) for sweep in plan)
-        told(count, count * each / max(number, 1))
         known = list(zip(bases, self._images(bases), strict=True))
         facts.effects = [self._effect(sweep) for sweep in plan]
         self._elsewhere([(x, image) for x, image in known if image is not None])
-        later = self._seconds[1:] or self._seconds
-        facts.median, facts.slowest = median(later), max(later)
+        facts.median = median(self._seconds[1:] or self._seconds)
 
     def _center(self, bases: Float64) -> tuple[Float64, Views] | None:
         """The middle of the ranges and its image, or the first of other points that has one."""
@@ -309,23 +254,14 @@ class _Check:
             (image,) = self._images(x[None])
             if image is not None:
                 self.facts.center, self.facts.centered = self._renderer.params(x), i == 0
-                self.facts.first = self._seconds[0]
                 return x, image
         return None
 
     def _effect(self, sweep: Sweep) -> Effect:
         images = list(self._images(sweep.X))
         change = _largest(images)
-        where: Where = "center" if self._changes(change) else "nowhere"
-        if change is None:
-            where = "unknown"
         pictures = [None if image is None else _small(image) for image in images]
-        first, last, alike = images[0], images[-1], False
-        if change is not None and first is not None and last is not None and len(images) > 2:
-            noise = 0.0 if self.facts.noise is None else self.facts.noise.rms
-            apart = difference(first, last).rms
-            alike = change.rms > 4 * noise and apart <= max(_LOUDER * noise, _ALIKE * change.rms)
-        return Effect(sweep, pictures, change, where, alike and where == "center")
+        return Effect(sweep, pictures, change, self._where(change, "center"))
 
     def _elsewhere(self, known: list[tuple[Float64, Views]]) -> None:
         """Try what changes nothing at the center at other points."""
@@ -335,9 +271,17 @@ class _Check:
             self.facts.points += 1
             for effect in self.facts.effects:
                 if effect.where in ("nowhere", "unknown"):
-                    change = _largest([image, *self._images(effect.sweep.elsewhere(x))])
+                    X = np.repeat(x[None], len(effect.sweep.X), axis=0)
+                    X[:, effect.sweep.axes] = effect.sweep.X[:, effect.sweep.axes]
+                    change = _largest([image, *self._images(X)])
                     if change is not None:
-                        effect.where = "elsewhere" if self._changes(change) else "nowhere"
+                        effect.where = self._where(change, "elsewhere")
+
+    def _where(self, change: float | None, place: str) -> str:
+        if change is None:
+            return "unknown"
+        least = max(_ROUNDING * self.facts.span, _LOUDER * (self.facts.noise or 0.0))
+        return place if change > least else "nowhere"
 
     def _images(self, X: Float64) -> Iterator[Views | None]:
         """Image of each point; None, with the reason noted, where there is none."""
@@ -356,14 +300,13 @@ class _Check:
             except ImageError as error:
                 outcome = Failed(str(error))
         self.facts.kills |= outcome.killed
-        params = described(self._renderer.params(x))
-        failure = Failure(outcome.reason, outcome.details, params)
         kind = outcome.reason.partition(":")[0]
         for known in self.facts.failures:
             if known.reason.partition(":")[0] == kind:
                 known.count += 1
                 return None
-        self.facts.failures.append(failure)
+        params = described(self._renderer.params(x))
+        self.facts.failures.append(Failure(outcome.reason, outcome.details, params))
         return None
 
     def _views(self, returned: Any) -> Views:
@@ -377,17 +320,10 @@ class _Check:
             view = np.asarray(array if array.ndim == 3 else array[..., None], np.float32)
             if array.dtype == np.uint8:
                 view = view / np.float32(255)
-            finite = np.isfinite(view)
-            if not finite.all():
-                lost = True
-                view = np.where(finite, view, view[finite].min(initial=np.inf))
-                view[~np.isfinite(view)] = 0
-            views.append(view)
-            if str(array.dtype) not in facts.kinds:
-                facts.kinds.append(str(array.dtype))
-        shape = tuple(view.shape for view in views)
-        if shape not in facts.shapes:
-            facts.shapes.append(shape)
+            lost |= not np.isfinite(view).all()
+            views.append(np.nan_to_num(view, posinf=0, neginf=0))
+        facts.kinds = list(dict.fromkeys([*facts.kinds, *(str(one.dtype) for one in arrays)]))
+        facts.shapes = list(dict.fromkeys([*facts.shapes, tuple(view.shape for view in views)]))
         low, high = min(float(v.min()) for v in views), max(float(v.max()) for v in views)
         facts.low, facts.high = min(facts.low, low), max(facts.high, high)
         facts.images += 1
@@ -396,24 +332,17 @@ class _Check:
         facts.outside += low < -_ROUNDING or high > 1 + _ROUNDING
         return views
 
-    def _changes(self, change: Difference | None) -> bool:
-        noise = 0.0 if self.facts.noise is None else self.facts.noise.rms
-        if change is None:
-            return False
-        return change.most > _ROUNDING * self.facts.span and change.rms > _LOUDER * noise
 
-
-def difference(a: Views, b: Views) -> Difference:
-    """Of two images, in units of their values."""
+def difference(a: Views, b: Views) -> float:
+    """Root mean square of the difference of two images; infinite for two sizes."""
     if [view.shape for view in a] != [view.shape for view in b]:
-        return Difference(math.inf, math.inf)
-    apart = np.concatenate(
-        [np.subtract(one, two, dtype=np.float64).ravel() for one, two in zip(a, b, strict=True)]
-    )
-    return Difference(float(np.sqrt(np.square(apart).mean())), float(np.abs(apart).max()))
+        return math.inf
+    pairs = zip(a, b, strict=True)
+    apart = [np.subtract(one, two, dtype=np.float64).ravel() for one, two in pairs]
+    return float(np.sqrt(np.square(np.concatenate(apart)).mean()))
 
 
-def _largest(images: list[Views | None]) -> Difference | None:
+def _largest(images: list[Views | None]) -> float | None:
     found = [difference(a, b) for a, b in combinations(filter(None, images), 2)]
     return max(found, default=None)
 
@@ -432,11 +361,14 @@ def advice(facts: Facts) -> list[str]:
     """Sentences, each with what to do."""
     if not facts.images:
         return ["no render gave an image: mend the renderer first"]
-    silent = all(one.where == "nowhere" for one in facts.effects)
     found = [*_of_images(facts), *_of_values(facts)]
-    if silent and facts.effects:
+    if facts.effects and all(one.where == "nowhere" for one in facts.effects):
         return [*found, "no parameter changes the image; does the renderer read them?"]
-    return [*found, *_of_parameters(facts), _plan(facts)]
+    plan = (
+        f"plan {facts.budget:,} renders for {counted(facts.parameters, 'parameter')}, about "
+        f"{duration(facts.seconds_of_fit)} here with --workers {facts.workers}"
+    )
+    return [*found, *_of_parameters(facts), plan]
 
 
 def _of_images(facts: Facts) -> Iterator[str]:
@@ -470,8 +402,8 @@ def _of_values(facts: Facts) -> Iterator[str]:
             "which a fit clips; if they are no overshoot, give it their range, "
             f"value_range=({low}, {high}) or --value-range {low} {high}"
         )
-    if facts.noise is not None and facts.noise.rms > 1e-5 * facts.span:
-        rms = facts.noise.rms / facts.span
+    rms = (facts.noise or 0.0) / facts.span
+    if rms > 1e-5:
         yield (
             f"two renders of one point differ by {rms:.2g} (RMS): a mean squared error below about "
             f"{rms**2 / 2:.1g} cannot be told from noise; more samples make a fit finer, and "
@@ -491,38 +423,6 @@ def _of_parameters(facts: Facts) -> Iterator[str]:
         if names:
             more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
             yield f"{', '.join(names[:_NAMED])}{more}: changes {what}"
-    for one in facts.effects:
-        name, kind = one.sweep.name, one.sweep.kind
-        if one.where != "center" or one.change is None:
-            continue
-        if one.change.most < _EYE * facts.span:
-            yield f"{name} changes less than a picture of 8 bits can show; widen its range"
-        if isinstance(kind, Float):
-            turn = any(math.isclose(kind.high - kind.low, turn, rel_tol=0.01) for turn in _TURNS)
-            if kind.periodic and not one.ends_alike:
-                yield f"{name} is periodic, but its ends give different images"
-            if one.ends_alike and turn and not kind.periodic:
-                yield f"both ends of {name} give one image; if it is an angle, make it periodic"
-
-
-def _plan(facts: Facts) -> str:
-    return (
-        f"plan {facts.budget:,} renders for {counted(facts.parameters, 'parameter')}, about "
-        f"{duration(facts.seconds_of_fit)} here with --workers {facts.workers}"
-    )
-
-
-def duration(seconds: float) -> str:
-    """A duration in one unit.
-
-    >>> duration(0.00042), duration(1.26), duration(75), duration(1500), duration(14000)
-    ('0.42 ms', '1.3 s', '75 s', '25 min', '3.9 h')
-    """
-    if seconds < 0.9995:
-        return f"{seconds * 1000:.2g} ms" if seconds < 0.1 else f"{seconds * 1000:.0f} ms"
-    if seconds < 90:
-        return f"{seconds:.2g} s"
-    return f"{seconds / 60:.0f} min" if seconds < 90 * 60 else f"{seconds / 3600:.2g} h"
 
 
 def shape_text(shapes: tuple[tuple[int, ...], ...]) -> str:
@@ -540,15 +440,13 @@ def lines(name: str, facts: Facts) -> list[str]:
     made = f"{counted(facts.renders, 'render')} in {duration(facts.seconds)}"
     shown = [f"{name}: {counted(facts.parameters, 'parameter')}, {made}"]
     if facts.images:
-        noise = "not known"
-        if facts.noise is not None:
-            rms = facts.noise.rms / facts.span
-            noise = f"renders of one point differ by {rms:.2g} (RMS)" if rms else "none"
+        noise = "not known" if facts.noise is None else "none"
+        if facts.noise:
+            noise = f"renders of one point differ by {facts.noise / facts.span:.2g} (RMS)"
         shown += [
             f"image     {shape_text(facts.shapes[0])}, {' and '.join(facts.kinds)}, "
             f"values {facts.low:.4g} to {facts.high:.4g}",
-            f"time      {duration(facts.median)} a render (median), at most "
-            f"{duration(facts.slowest)}, the first one {duration(facts.first)}",
+            f"time      {duration(facts.median)} a render (median)",
             f"noise     {noise}",
         ]
     if facts.rejected:
@@ -570,67 +468,56 @@ def change_text(one: Effect, facts: Facts) -> str:
     others = {"elsewhere": "elsewhere only", "nowhere": "NOTHING", "unknown": "unknown"}
     if one.where != "center" or one.change is None:
         return others[one.where]
-    return "size" if math.isinf(one.change.rms) else f"{one.change.rms / facts.span:.2g}"
+    return "size" if math.isinf(one.change) else f"{one.change / facts.span:.2g}"
 
 
 def _table(facts: Facts) -> list[str]:
     rows = [("parameter", "range", "change (RMS)")]
     for one in facts.effects:
-        unit = "" if one.sweep.unit is None else f" [{one.sweep.unit}]"
         pairs = zip(one.sweep.texts, one.pictures, strict=True)
         failed = ", ".join(text for text, picture in pairs if picture is None)
         change = change_text(one, facts) + (f", no image at {failed}" if failed else "")
-        rows.append((f"{one.sweep.name}{unit}", one.sweep.range, change))
+        rows.append((one.sweep.label, one.sweep.range, change))
     widths = [max(len(row[i]) for row in rows) for i in range(2)]
     return [f"{a:{widths[0]}}  {b:{widths[1]}}  {c}" for a, b, c in rows]
 
 
 def as_data(name: str, facts: Facts) -> dict[str, Any]:
     """The same for JSON."""
-    noise = None if facts.noise is None else facts.noise.rms / facts.span
-    names = ("renders", "rejected", "failed", "images", "not_finite", "constant", "outside")
-    numbers = {key: getattr(facts, key) for key in ("dim", *names, "budget", "workers", "seconds")}
-    failures = [asdict(one) for one in facts.failures]
+    names = ("dim", "renders", "rejected", "failed", "images", "not_finite", "constant", "outside")
+    more = ("budget", "workers", "seconds", "median", "seconds_of_fit", "shapes", "kinds", "noise")
+    effects = [
+        {
+            "name": one.sweep.name,
+            "values": one.sweep.texts,
+            "changes": one.where,
+            "change_rms": None if math.isinf(one.change or 0) else one.change,
+        }
+        for one in facts.effects
+    ]
     return {
         "renderer": name,
-        **numbers,
-        "sizes": [[list(shape) for shape in shapes] for shapes in facts.shapes],
-        "types": facts.kinds,
+        **{key: getattr(facts, key) for key in (*names, *more)},
         "values": [facts.low, facts.high] if facts.images else None,
-        "first_s": facts.first,
-        "median_s": facts.median,
-        "slowest_s": facts.slowest,
-        "fit_s": facts.seconds_of_fit,
-        "noise_rms": noise,
-        "deterministic": None if noise is None else noise == 0,
         "center": dict(flat(facts.center)) if isinstance(facts.center, dict) else None,
-        "failures": failures,
-        "parameters": [_effect_as_data(one, facts) for one in facts.effects],
+        "failures": [asdict(one) for one in facts.failures],
+        "parameters": effects,
         "advice": advice(facts),
     }
 
 
-def _effect_as_data(one: Effect, facts: Facts) -> dict[str, Any]:
-    rms = None if one.change is None or math.isinf(one.change.rms) else one.change.rms / facts.span
-    known = {"name": one.sweep.name, "unit": one.sweep.unit, "values": one.sweep.texts}
-    return {**known, "changes": one.where, "change_rms": rms}
-
-
 def figure(name: str, facts: Facts) -> bytes:
     """PNG: each parameter a row, those that change nothing first of all where there are many."""
-    ranked = sorted(facts.effects, key=lambda one: one.where == "center")[:_SHOWN]
-    effects = [one for one in facts.effects if any(one is other for other in ranked)]
+    effects = sorted(facts.effects, key=lambda one: one.where == "center")[:_SHOWN]
     columns = 1 + max((len(one.pictures) for one in effects), default=1)
     canvas = new_figure(1.5 * columns, 0.6 + 1.5 * max(1, len(effects)), dpi=110)
     canvas.set_layout_engine("constrained")
     canvas.suptitle(plain(name), fontsize=12, fontweight="bold")
     grid = canvas.subplots(max(1, len(effects)), columns, squeeze=False)
-    black = facts.ends[0]
     for axes in grid.ravel():
         axes.axis("off")
     for effect, row in zip(effects, grid, strict=False):
-        unit = "" if effect.sweep.unit is None else f" [{effect.sweep.unit}]"
-        words = f"{effect.sweep.name}{unit}\nchange {change_text(effect, facts)}"
+        words = f"{effect.sweep.label}\nchange {change_text(effect, facts)}"
         color = "#c2410c" if effect.where in ("nowhere", "unknown") else "#1a1a1a"
         row[0].text(0, 0.5, plain(words), fontsize=8.5, color=color, va="center")
         for axes, text, picture in zip(row[1:], effect.sweep.texts, effect.pictures, strict=False):
@@ -638,6 +525,6 @@ def figure(name: str, facts: Facts) -> bytes:
                 axes.text(0.5, 0.5, f"{plain(text)}: no image", fontsize=8, ha="center")
             else:
                 axes.axis("on")
-                shown = np.clip((picture - black) / facts.span, 0, 1)
+                shown = np.clip((picture - facts.black) / facts.span, 0, 1)
                 draw_image(axes, Panel(plain(text), np.asarray(shown, np.float32)))
     return figure_as_png(canvas)

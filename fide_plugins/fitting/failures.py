@@ -1,8 +1,4 @@
-"""Renders that gave no image: counted, the first one shown whole, and when to give up.
-
-Of CAD models often most parameters are invalid, and only the renderer knows it.  So a fit goes on
-as long as renders succeed now and then.
-"""
+"""Renders that gave no image: counted, the first one shown whole, and when to give up."""
 
 from __future__ import annotations
 
@@ -124,7 +120,17 @@ class Failures:
 
     def check(self) -> None:
         """Raise GivenUpError if hardly any render succeeds."""
-        rule = self._rule()
+        rule, failed = "", sum(self._latest)
+        until_success = (self._done - self._in_a_row) / max(self._images, 1)
+        if not self._images:
+            if self._done >= (_FIRST if self._all_broken else _FIRST_EVERYWHERE):
+                rule = f"the first {self._done} renders all failed"
+                rule += "" if self._all_broken else f", all over the space{_REMEDY}"
+        elif len(self._latest) == _WINDOW and failed > self.max_failures * _WINDOW:
+            rule = f"{failed} of the last {_WINDOW} renders failed, more than max_failures="
+            rule += f"{self.max_failures:g}"
+        elif self._in_a_row >= max(_WINDOW, _IN_A_ROW * until_success):
+            rule = f"the last {self._in_a_row} renders all failed"
         if rule and self.first is not None:
             raise GivenUpError(
                 f"given up: {rule}; {self.count} failed so far, the first one, which a warning has "
@@ -135,23 +141,6 @@ class Failures:
     def tried(self) -> bool:
         """Whether enough renders have failed, and none succeeded, to try other places."""
         return not self._images and self._done >= _FIRST
-
-    def _rule(self) -> str:
-        if not self._images:
-            if self._done >= _FIRST and self._all_broken:
-                return f"the first {self._done} renders all failed"
-            if self._done >= _FIRST_EVERYWHERE:
-                return f"the first {self._done} renders all failed, all over the space{_REMEDY}"
-            return ""
-        failed, allowed = sum(self._latest), self.max_failures
-        if len(self._latest) == _WINDOW and failed > allowed * _WINDOW:
-            return (
-                f"{failed} of the last {_WINDOW} renders failed, more than max_failures={allowed:g}"
-            )
-        until_success = (self._done - self._in_a_row) / self._images
-        if self._in_a_row >= max(_WINDOW, _IN_A_ROW * until_success):
-            return f"the last {self._in_a_row} renders all failed"
-        return ""
 
 
 _BETTER = 0.25  # of the squared error, from which on a change of all values explains it

@@ -85,10 +85,7 @@ def schedule_for(
 
 
 def _sizes(optimizer: FIDE, limits: tuple[int, int] | None) -> list[Any]:
-    """Sizes (h, w) of renders, from the least shorter side to the most, each half of the next.
-
-    A loss of the user's own may know the target only, and views of several sizes stay as they are.
-    """
+    """Sizes (h, w) of renders, from the least shorter side to the most, each half of the next."""
     views = [view.size for view in optimizer.views.views]
     if len(set(views)) > 1:
         return [views]

@@ -261,9 +261,6 @@ class Fitting:
         r.pending, r.failures = self._loop.pending, self._failures.count
         if self._schedule is not None:
             r.fineness = self._schedule.state_dict()
-        del r.generations[:]
-        if asked := r.evaluations + len(r.pending):
-            r.generations.append(asked)  # one generation that never waits
         self._loop.tick()
 
     # -- ending ------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from fide_plugins.fitting.fidelity import Fidelity, schedule_for
 from fide_plugins.fitting.fitting import Fitting
 from fide_plugins.fitting.rendering import Renderer
 from fide_plugins.fitting.result import Result
-from fide_plugins.fitting.saved_run import SavedRun, features_of, seed_there, settings_of
+from fide_plugins.fitting.saved_run import SavedRun, seed_there, settings_of
 from fide_plugins.fitting.schedule import Schedule
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers import default_number, workers_for
@@ -148,6 +148,10 @@ def fit(
     Whatever ends the fit after it has begun has the attribute `result`: what was computed by then.
     """
     check_known(options, "fit", [name for name in signature(fit).parameters if name != "options"])
+    given = {
+        "mask": mask, "learned": learned, "constraints": constraints, "value_range": value_range
+    }  # fmt: skip
+    options |= {name: value for name, value in given.items() if value is not None}
     return prepare(
         render,
         _with_views(target, views),
@@ -163,8 +167,7 @@ def fit(
         progress=progress,
         max_failures=positive_fraction("max_failures", max_failures),
         fidelity=fidelity,
-        options=_given(mask=mask, learned=learned, constraints=constraints, value_range=value_range)
-        | options,
+        options=options,
     ).execute()
 
 
@@ -191,22 +194,22 @@ def prepare(
 ) -> Fitting:
     """Check the arguments, and make or resume a fit; nothing is rendered yet.
 
-    stopping: when it is over.  checkpoint_every: seconds between checkpoints, see
-    `CheckpointTimer`.  command: command line to record.  check: gets the optimizer before anything
-    is written, and may raise.  All others, and errors, as for `fit`.
+    stopping: when it is over.  checkpoint_every: seconds between checkpoints.  command: to record.
+    check: gets the optimizer before anything is written, and may raise.  All else as for `fit`.
     """
     _check_render(render, named=isinstance(space, Space))
-    if out == "":
-        raise OptionError("out is empty: name a folder, or leave it out to write nothing")
-    if switch("resume", resume) and out is None:
-        raise OptionError("resume=True needs the run directory: give out=DIR")
-    watchers = Callbacks(callbacks)
+    if out == "" or (switch("resume", resume) and out is None):
+        raise OptionError("resume=True needs the run directory, and its name: give out=DIR")
     check_progress(progress)
     limit = None if timeout is None else seconds_of("timeout", timeout)
     number = default_number(executor) if workers is None else whole_number("workers", workers, 0)
-    options = dict(options or {})
+    watchers, options = Callbacks(callbacks), dict(options or {})
     check_names(options, _GIVEN, "is no option of the optimizer, but an argument of the fit")
-    optimizer = _optimizer(render, target, space, seed, options, out if resume else None)
+    number_of_parameters("space", space.dim if isinstance(space, Space) else space)
+    if seed is None and out is not None and resume:
+        seed = seed_there(out)
+    there = resume and out is not None and is_saved(out)
+    optimizer = FIDE(space, target, seed=seed, **with_model(options, render, resumed=there))
     schedule = schedule_for(render, fidelity, optimizer)
     keywords = {} if schedule is None else schedule.finest()
     renderer = Renderer(render, optimizer.space, optimizer.value_range is not None, keywords)
@@ -224,22 +227,6 @@ def prepare(
     )  # fmt: skip
 
 
-def _optimizer(
-    render: Callable[..., object],
-    target: object,
-    space: Space | int,
-    seed: int | None,
-    options: dict[str, Any],
-    resumed: str | os.PathLike[str] | None,
-) -> FIDE:
-    """The optimizer; resumed: run directory whose seed it has, where none is given."""
-    number_of_parameters("space", space.dim if isinstance(space, Space) else space)
-    if resumed is not None and seed is None:
-        seed = seed_there(resumed)
-    there = resumed is not None and is_saved(resumed)
-    return FIDE(space, target, seed=seed, **with_model(options, render, resumed=there))
-
-
 def _plan(
     render: Callable[..., object],
     optimizer: FIDE,
@@ -251,21 +238,18 @@ def _plan(
     settings = settings_of(name, optimizer, options)
     if schedule is not None:
         settings["fidelity"] = schedule.options
-    facts: dict[str, Any] = {}
-    if callable(options.get("encoder")):  # others are known by name and version
-        facts["features"] = features_of(optimizer)
-    if isinstance(optimizer.target, list):
-        facts["views"] = [list(one.shape[:2]) for one in optimizer.target]
     sources = of_files({name: fingerprint_of(render)}) | of_models(options)
     sources |= of_weights(optimizer) | of_losses([optimizer.evaluator.loss])
-    return {"settings": settings, "limits": stopping.record(), "facts": facts, "sources": sources}
+    return {"settings": settings, "limits": stopping.record(), "sources": sources}
 
 
 def _check_render(render: object, named: bool) -> None:
     """Raise OptionError for a function that cannot be called with one argument."""
     if not callable(render):
+        shape = getattr(render, "shape", None)
+        got = f"an array of shape {tuple(shape)}" if shape else shorten(repr(render), 60)
         raise OptionError(
-            f"render must be a function of the parameters, not {_short(render)}; the order is "
+            f"render must be a function of the parameters, not {got}; the order is "
             "fit(render, target, space)"
         )
     try:
@@ -283,15 +267,6 @@ def _check_render(render: object, named: bool) -> None:
             f"fit calls render(params) with one {what}, and render{form} does not take it "
             f"({error}); {adapted} adapts it"
         ) from None
-
-
-def _short(value: object) -> str:
-    shape = getattr(value, "shape", None)
-    return shorten(repr(value), 60) if shape is None else f"an array of shape {tuple(shape)}"
-
-
-def _given(**options: Any) -> dict[str, Any]:
-    return {name: value for name, value in options.items() if value is not None}
 
 
 def _with_views(target: object, views: Sequence[object] | None) -> object:

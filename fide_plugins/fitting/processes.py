@@ -42,16 +42,16 @@ class Processes:
 
     def submit(self, x: Any) -> Task:
         """Render the point x (d,), or whatever the renderer takes, in a free worker."""
-        worker = self._free()
-        try:
-            task = worker.submit(x)
-        except BrokenExecutor:  # it was killed while it had nothing to do
-            self._workers.remove(worker)
-            worker.kill()
+        for _ in range(self.number + 1):
             worker = self._free()
-            task = worker.submit(x)
-        self._of[task] = worker
-        return task
+            try:
+                task = worker.submit(x)
+            except BrokenExecutor:  # it was killed while it had nothing to do
+                self._remove(worker)
+            else:
+                self._of[task] = worker
+                return task
+        raise BrokenExecutor("worker processes end as soon as they start")
 
     def outcome(self, task: Task) -> Outcome:
         """Image, or what went wrong."""
@@ -59,9 +59,8 @@ class Processes:
         try:
             return unpack(task.result())
         except (BrokenExecutor, CancelledError) as error:
-            self._workers.remove(worker)
             end = worker.end()
-            worker.kill()
+            self._remove(worker)
             reason = f"its worker process died{end}"
             return Failed(reason, str(error), broken=True, killed=True)
         except Exception as error:
@@ -73,9 +72,7 @@ class Processes:
 
     def abandon(self, task: Task) -> None:
         """Kill its worker; another one takes its place."""
-        worker = self._of.pop(task)
-        self._workers.remove(worker)
-        worker.kill()
+        self._remove(self._of.pop(task))
 
     def close(self) -> None:
         """Kill all workers."""
@@ -90,6 +87,10 @@ class Processes:
                 return worker
         self._workers.append(_Worker(self._portable))
         return self._workers[-1]
+
+    def _remove(self, worker: _Worker) -> None:
+        self._workers.remove(worker)
+        worker.kill()
 
 
 class _Worker:
@@ -172,21 +173,16 @@ class _Process(SpawnProcess):
 
     def start(self) -> None:
         """Start it while the script is out of sight, and SIGINT blocked, which it inherits."""
+        blocks = hasattr(signal, "pthread_sigmask")  # not on Windows
         with _STARTING:
             main, sys.modules["__main__"] = sys.modules["__main__"], ModuleType("__main__")
-            blocked = _block_interrupts()
+            before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if blocks else set()
             try:
                 super().start()
             finally:
                 sys.modules["__main__"] = main
-                if blocked is not None:
-                    signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
-
-
-def _block_interrupts() -> set[Any] | None:
-    if not hasattr(signal, "pthread_sigmask"):  # Windows
-        return None
-    return signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+                if blocks:
+                    signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 # -- in the worker ---------------------------------------------------------------------------------

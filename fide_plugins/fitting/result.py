@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 from base64 import b64encode
-from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from html import escape
@@ -15,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fide_plugins.errors import DependencyError, FideError
+from fide_plugins.errors import FideError
 from fide_plugins.fitting.pictures import counting, side_by_side
 from fide_plugins.recording.directory import is_of_a_run, results_in
-from fide_plugins.recording.figures import Panel, as_png, thumbnail
+from fide_plugins.recording.figures import GAIN, Panel, as_png, difference, thumbnail
 from fide_plugins.recording.parameters import ROUGH, described, is_rough, rows
 from fide_plugins.recording.record import Record, best_so_far
 from fide_plugins.recording.storage import RunDirectoryError, is_saved, read_run, with_optimizer
@@ -27,11 +25,11 @@ from fide_plugins.runtime.messages import cut
 from fide_plugins.validation.pixels import ValueRange
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from fide_plugins.fide import FIDE
     from fide_plugins.fitting.failures import Failure
     from fide_plugins.fitting.saved_run import Unsaved
-    from fide_plugins.recording.figures import Panel
-    from fide_plugins.recording.plots import Figure
     from fide_plugins.status import Status
     from fide_plugins.types import Float32, Float64, Indices, Solution
 
@@ -51,20 +49,17 @@ class Result:
         in [0, 1].
     evaluations: images evaluated; failures: renders that gave none; clipped: images whose values
         went beyond black or white; seconds: of fitting; all with those before resuming.
-    first_failure: of this call.  rejected: share of this call's candidates that constraints
-        rejected before they were rendered, in [0, 1]; None without, and of a result that was read.
-    busy: fraction of the time of this call's search that its workers rendered; NaN of a result
-        that was read.
+    first_failure, rejected, busy: of this call, None or NaN of a result that was read: the first
+        render that gave none; share of candidates that constraints rejected; share of the time of
+        the search that its workers rendered.
     stopped: why it ended: "solved", "noise", "stalled" (see `fit`), "budget", "time", "stop_at",
-        "callback", "interrupted" or "failed"; of a run that was read also "running", and "finished"
-        where it has one rule only.
+        "callback", "interrupted" or "failed"; of a run that was read also "running", "finished".
     out: run directory; None without.
     cost: of all renders, in full ones, by pixels times samples; see `Fidelity`.
-    std_renders: renders around the answer at the end, beside the evaluations, from which
-        `best.std` is computed; 0: it is rough, from samples of the search, or was read.
+    std_renders: renders around the answer, beside the evaluations, from which `best.std` is
+        computed; 0: it is rough, from samples of the search, or was read.
     value_range: values of target and images that are black and white; None: 0 and 1.
-    compared: best image as it is compared, where that is another picture than `best.image`: in the
-        light of the target, and over it where the renderer says that it covers nothing.
+    compared: best image as it is compared, where that is another picture than `best.image`.
     unsaved: what `save` writes, of a fit that has just ended.
     """
 
@@ -96,12 +91,9 @@ class Result:
 
     @cached_property
     def optimizer(self) -> Any:
-        """A `FIDE` that goes on where the fit has ended, by ask and tell.
+        """A `FIDE` that goes on where the fit has ended; None where it was not FIDE, or not kept.
 
-        Of a result that was read it is loaded when it is first asked for; None where another
-        optimizer than FIDE ran, or where its checkpoint is missing.
-
-        Raises CheckpointError (a ValueError) if that is damaged, or needs an encoder of the user's.
+        Raises CheckpointError (a ValueError): damaged, or it needs an encoder of the user's.
         """
         if self.unsaved is not None:
             return self.unsaved.optimizer
@@ -109,10 +101,7 @@ class Result:
 
     @property
     def residual(self) -> Any:
-        """What is left, (H, W) in [0, 1], see `FIDE.residual`; None where there is no optimizer.
-
-        Raises CheckpointError as `optimizer`.
-        """
+        """What is left, (H, W) in [0, 1], see `FIDE.residual`; None without `optimizer`."""
         return None if self.optimizer is None else self.optimizer.residual
 
     def plot(self) -> Figure:
@@ -144,7 +133,7 @@ class Result:
         if self.rejected:
             failed += f", {self.rejected:.0%} of the candidates rejected by constraints"
         loss = "none" if self.best is None else f"{self.best.loss:.6g}"
-        params = f"dim={self._dim}"
+        params = f"dim={self.path.shape[1]}"
         if isinstance(self.params, dict) and self.best is not None:
             unnamed = self.best.space is None  # a task of a run that was read
             text = naming.described(self.params) if unnamed else described(self.best)
@@ -153,19 +142,36 @@ class Result:
         lines = [
             f"Result(best loss {loss} after {self.evaluations:,} evaluations, "
             f"{self.seconds:.1f} s{failed}; stopped: {self.stopped}",
-            f"  params: {params}",
-            f"  solutions: {len(self.solutions)}",
-            *self._range(),
-            f"  {self.status}" + ("" if self.out is None else f"\n  out: {self.out}"),
+            f"params: {params}",
+            f"solutions: {len(self.solutions)}",
+            str(self.status),
         ]
-        return "\n".join(lines) + ")"
+        if self.value_range is not None:
+            lines.append(f"value range: {self.value_range[0]:.6g} to {self.value_range[1]:.6g}")
+        lines += [] if self.out is None else [f"out: {self.out}"]
+        return "\n  ".join(lines) + ")"
 
     def _repr_html_(self) -> str:
-        return result_page(self, self._panels())
-
-    def _range(self) -> list[str]:
-        values = self.value_range
-        return [] if values is None else [f"  value range: {values[0]:.6g} to {values[1]:.6g}"]
+        """HTML: status, pictures, and parameters in their units."""
+        best, table = self.best, rows([] if self.best is None else [self.best])
+        lines = [
+            [row.name, row.values[0], row.unit, "" if row.determined else "not determined"]
+            for row in table[:_MOST]
+        ]
+        cells = "".join(
+            f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in line)}</tr>" for line in lines
+        )
+        more = f"<p>... {len(table) - _MOST} more</p>" if len(table) > _MOST else ""
+        more += f"<p>{ROUGH}</p>" if best is not None and is_rough(best) else ""
+        facts = f"{self.evaluations:,} renders in {self.seconds:.1f} s"
+        facts += f", as dear as {self.cost:,.0f} full ones" * (self.cost != self.evaluations)
+        facts += f", stopped: {self.stopped}"
+        facts += f", {self.failures:,} renders failed" if self.failures else ""
+        return (
+            f"<div><p><b>{escape(str(self.status))}</b><br>{escape(facts)}</p>"
+            '<div style="display:flex;flex-wrap:wrap;gap:8px;align-items:flex-end">'
+            f"{''.join(map(_picture, self._panels()))}</div><table>{cells}</table>{more}</div>"
+        )
 
     def _shown(self, image: Any) -> Float32:
         if self.value_range is None:
@@ -174,13 +180,7 @@ class Result:
         listed = image if isinstance(image, list) else [image]
         return side_by_side([np.clip(values.scaled(one), 0.0, 1.0) for one in listed])
 
-    @property
-    def _dim(self) -> int:
-        return int(self.path.shape[1])
-
     def _panels(self) -> list[Panel]:
-        from fide_plugins.recording.figures import GAIN, Panel, difference
-
         target = self._shown(self.target)
         panels = [Panel("target", target)]
         if self.best is not None and self.best.image is not None:
@@ -208,51 +208,17 @@ _SIDE, _WIDE = 160, 480  # pixels of a picture: its longer side; of several view
 _MOST = 40  # parameters
 
 
-def result_page(result: Result, panels: Sequence[Panel]) -> str:
-    """HTML of a result: its status, pictures, losses, and parameters in their units."""
-    failed = f", {result.failures:,} renders failed" if result.failures else ""
-    coarse = (
-        "" if result.cost == result.evaluations else f", as dear as {result.cost:,.0f} full ones,"
-    )
-    facts = f"{result.evaluations:,} renders{coarse} in {result.seconds:.1f} s"
-    facts += f", stopped: {result.stopped}"
-    pictures = "".join(map(_picture, panels))
-    with suppress(DependencyError):  # without matplotlib, which is an extra
-        from fide_plugins.recording.plots import curve_figure
-
-        if len(result.losses):
-            curve = curve_figure(result.losses, result.loss)._repr_png_()
-            pictures += f'<img alt="losses" src="{_inline(curve)}" style="height:165px">'
-    table = rows([] if result.best is None else [result.best])
-    cells = "".join(
-        f"<tr><td>{escape(row.name)}</td><td>{escape(row.values[0])}</td>"
-        f"<td>{escape(row.unit)}</td>"
-        f"<td>{'' if row.determined else 'not determined by the picture'}</td></tr>"
-        for row in table[:_MOST]
-    )
-    more = f"<p>... {len(table) - _MOST} more</p>" if len(table) > _MOST else ""
-    rough = f"<p>{ROUGH}</p>" if result.best is not None and is_rough(result.best) else ""
-    return (
-        f"<div><p><b>{escape(str(result.status))}</b><br>{escape(facts + failed)}</p>"
-        f'<div style="display:flex;flex-wrap:wrap;gap:8px;align-items:flex-end">{pictures}</div>'
-        f"<table>{cells}</table>{more}{rough}</div>"
-    )
-
-
 def _picture(panel: Panel) -> str:
     height, breadth = panel.image.shape[:2]
     side = _WIDE if breadth > 2 * height else _SIDE
     shown = round(side * breadth / max(height, breadth))
-    source = _inline(as_png(thumbnail(panel.image, side)))
+    source = b64encode(as_png(thumbnail(panel.image, side))).decode()
     name = escape(panel.name)
     return (
         f'<figure style="margin:0"><figcaption>{name}</figcaption><img alt="{name}" '
-        f'src="{source}" style="width:{shown}px;image-rendering:pixelated"></figure>'
+        f'src="data:image/png;base64,{source}" '
+        f'style="width:{shown}px;image-rendering:pixelated"></figure>'
     )
-
-
-def _inline(png: bytes) -> str:
-    return f"data:image/png;base64,{b64encode(png).decode()}"
 
 
 def optimizer_in(path: Path) -> FIDE | None:

@@ -30,7 +30,6 @@ from fide_plugins.types import Float32, Solution
 from fide_plugins.validation import image_files, images
 from fide_plugins.validation.pixels import ValueRange, restored, value_range_of
 
-_RELATIVE, _ABSOLUTE = 1e-3, 1e-6  # by which losses and features may differ between machines
 _CONTENTS = ("mask", "weights", "value_range")
 """Options that are recorded by what they are, not as they are given."""
 _ADAPTS = ("photo", "photometric", "robust", "background")
@@ -45,80 +44,40 @@ class SavedRun:
         out: str | os.PathLike[str],
         settings: dict[str, Any],
         limits: dict[str, Any],
-        facts: dict[str, Any] | None = None,
         *,
         resume: bool,
         command: Sequence[str] | None,
         sources: Mapping[str, str] | None = None,
     ) -> None:
         self._directory = RunDirectory(
-            out,
-            settings,
-            resume=resume,
-            command=command,
-            limits=limits,
-            facts=facts,
-            sources=sources,
+            out, settings, resume=resume, command=command, limits=limits, sources=sources
         )
-        self.path = self._directory.path
+        self.path, self.close = self._directory.path, self._directory.close
         self._budget: int | None = limits.get("budget")
 
     def begin(self, optimizer: FIDE) -> Record | None:
-        """As `restore`, and write what is known before the first render."""
+        """Restore the optimizer, and write what is known before the first render.
+
+        Returns the record that was saved; None without one.
+        """
         with ExitStack() as refused:
             refused.callback(self.close)
-            record = self.restore(optimizer)
+            restored = self._directory.restore(optimizer.continue_from)
             target = optimizer.evaluator.full.target
             self._directory.write_target(
                 picture(optimizer, target), _in_user_values(optimizer, target)
             )
-            self._directory.begin()
+            self._directory.write_run()
             refused.pop_all()
-        return record
-
-    def restore(self, optimizer: FIDE) -> Record | None:
-        """Put the optimizer into the state that was saved; None without one."""
-        there = self._directory.facts.get("features", [])
-        if there and not np.allclose(there, features_of(optimizer), rtol=_RELATIVE, atol=_ABSOLUTE):
-            raise RunDirectoryError(
-                f"{self.path} holds a run with another encoder: its features of the target differ; "
-                "give the same one, or name another directory"
-            )
-        restored = self._directory.restore(optimizer.continue_from)
-        if restored is None:
-            return None
-        record, _ = restored
-        self._check_loss(optimizer)
-        return record
-
-    def _check_loss(self, optimizer: FIDE) -> None:
-        best = optimizer.state.best
-        image = None if best is None else best.solution.image
-        if best is None or image is None or optimizer.evaluator.loss_name is not None:
-            return
-        there, here = best.solution.loss, float(optimizer.evaluator.loss.compute(image[None])[0])
-        if not np.isclose(here, there, rtol=_RELATIVE, atol=_ABSOLUTE):
-            raise RunDirectoryError(
-                f"{self.path} holds a run with another loss: it was {there:.6g} for the best "
-                f"image, and is {here:.6g} now; give the same one, or name another directory"
-            )
-
-    def close(self) -> None:
-        """Let other processes go on with the run; nothing is to be written after this."""
-        self._directory.close()
+        return None if restored is None else restored[0]
 
     def save(self, record: Record, optimizer: FIDE) -> None:
         """Write a checkpoint, the tables and the best image, each also where another fails."""
-        self._directory.save(record, optimizer, *self._best(record, optimizer))
-
-    def _best(self, record: Record, optimizer: FIDE) -> tuple[Float32 | None, Float32 | None]:
-        best = None if record.image is None else best_compared(optimizer)
-        shown = None if best is None else picture(optimizer, best)
-        return shown, _in_user_values(optimizer, best)
+        self._directory.save(record, optimizer, *_best_pictures(record, optimizer))
 
     def write_tables(self, record: Record, optimizer: FIDE) -> None:
         """Write the tables and the best image."""
-        self._directory.write_tables(record, *self._best(record, optimizer))
+        self._directory.write_tables(record, *_best_pictures(record, optimizer))
 
     def leave(
         self,
@@ -129,10 +88,13 @@ class SavedRun:
         solutions: Sequence[Solution],
     ) -> None:
         """Write totals and the summary; stopped, solutions: see `Result`."""
+        image, verdict = None if record.image is None else best_compared(optimizer), Verdict()
+        if image is not None:  # nobody knows a better one
+            verdict = Verdict(image, record.best_loss, optimizer.views.squared_error(image))
         result = result_of(
             self._directory.settings,
             record,
-            _verdict(record, optimizer),
+            verdict,
             budget=self._budget or record.evaluations,
             status=optimizer.status,
         )
@@ -158,6 +120,13 @@ class SavedRun:
         shown = replace(result, first_image=first, image=best, reference=best)
         target = picture(optimizer, optimizer.evaluator.full.target)
         self._directory.write_summary(shown, target, counting(optimizer.weights, optimizer.target))
+
+
+def _best_pictures(record: Record, optimizer: FIDE) -> tuple[Float32 | None, Float32 | None]:
+    """The best image as one picture: in [0, 1], and in the user's values where these are others."""
+    best = None if record.image is None else best_compared(optimizer)
+    shown = None if best is None else picture(optimizer, best)
+    return shown, _in_user_values(optimizer, best)
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,7 +168,7 @@ def settings_of(name: str, optimizer: FIDE, options: Mapping[str, Any]) -> dict[
     name: of what renders; options: of the optimizer, as the user gave them.  Arrays are recorded by
     their digest; a starting point, its width and groups as the optimizer has made them.
     """
-    target = optimizer.evaluator.full.target
+    target, several = optimizer.evaluator.full.target, isinstance(optimizer.target, list)
     space = optimizer.space
     made = {
         "x0": None if optimizer.guess is None else optimizer.guess.tolist(),
@@ -211,9 +180,11 @@ def settings_of(name: str, optimizer: FIDE, options: Mapping[str, Any]) -> dict[
         "task_seed": None,
         "task_options": {},
         "size": list(target.shape[:2]),
+        "views": [list(one.shape[:2]) for one in optimizer.target] if several else None,
         "dim": optimizer.dim,
         "value_range": None if optimizer.value_range is None else list(optimizer.value_range),
         "target": _digest(target),
+        "features": _features_of(optimizer) if callable(options.get("encoder")) else None,
         "space": None if space is None else space.to_dict(),
         "optimizer": "fide",
         "options": {
@@ -227,13 +198,10 @@ def settings_of(name: str, optimizer: FIDE, options: Mapping[str, Any]) -> dict[
     }
 
 
-def features_of(optimizer: FIDE) -> list[float]:
-    """Numbers by which an encoder of the user's own is known again: of its features of the target.
-
-    Mean, standard deviation, least and largest.
-    """
+def _features_of(optimizer: FIDE) -> list[str]:
+    """By which an encoder of the user's own is known again: its features of the target."""
     tokens = optimizer.target_tokens.double().cpu().numpy()
-    return [float(value) for value in (tokens.mean(), tokens.std(), tokens.min(), tokens.max())]
+    return [f"{value:.2g}" for value in (tokens.mean(), tokens.std(), tokens.min(), tokens.max())]
 
 
 def seed_there(out: str | os.PathLike[str]) -> int | None:
@@ -248,14 +216,6 @@ def _in_user_values(optimizer: FIDE, image: Float32 | None) -> Float32 | None:
     if image is None or optimizer.value_range is None:
         return None
     return side_by_side(shown(optimizer, image))
-
-
-def _verdict(record: Record, optimizer: FIDE) -> Verdict:
-    """The best image as the run has seen it: nobody knows a better one."""
-    image = None if record.image is None else best_compared(optimizer)
-    if image is None:
-        return Verdict()
-    return Verdict(image, record.best_loss, optimizer.views.squared_error(image))
 
 
 def _recorded(value: Any) -> Any:
@@ -311,29 +271,34 @@ def _read(path: Path, run: dict[str, Any]) -> Result:
     settings = run["settings"]
     dim = int(settings["dim"])
     space = None if settings.get("space") is None else Space.from_dict(settings["space"])
-    views, values = (run.get("facts") or {}).get("views"), _values(settings)
+    views, values = settings.get("views"), value_range_of(settings.get("value_range"))
+    if isinstance(values, str):
+        raise TypeError(f"the range of values is {values!r}")
     record, _ = read_record(path, dim, settings["size"])
     totals = run.get("totals")
     if run.get("state") == "running" or not isinstance(totals, dict):
         totals = {}
     if totals.get("evaluations") != record.evaluations:  # they are those of an earlier call
         totals = {}
-    solutions, status, weights = read_solutions(totals.get("solutions", []), dim, space), None, None
-    if "status" in totals:
-        status = Status(_text(totals["status"]), _text(totals["sentence"]))
-    if not solutions or status is None or settings.get("weights") is not None:
-        with suppress(FideError):  # it needs an encoder of the user's
-            optimizer = optimizer_in(path)
-            if optimizer is not None:
-                solutions = solutions or optimizer.solutions()
-                status, weights = status or optimizer.status, optimizer.weights
-    best = _best(record, solutions, space, views, values)
+    solutions, status, weights = _known(path, settings, totals, space)
+    best = None
+    if record.x_best is not None:
+        known = next((one for one in solutions if np.array_equal(one.x, record.x_best)), None)
+        best = Solution(
+            record.x_best,
+            record.best_loss,
+            record.best_evaluation,
+            None if record.image is None else restored(unpacked(record.image, views), values),
+            None if known is None else known.probability,
+            space,
+            None if known is None else known.estimate,
+        )
     adapts = any((settings.get("options") or {}).get(name) for name in _ADAPTS)
     return Result(
         best=best,
         params=None if best is None else best.params or totals.get("params") or best.x.copy(),
         solutions=solutions if best is None else [best, *solutions[1:]],
-        status=status or Status("unknown", "What the optimizer knew of the run is not recorded."),
+        status=status,
         target=_picture(path, "target", views, values),
         weights=weights,
         loss=str(settings.get("loss")),
@@ -349,38 +314,23 @@ def _read(path: Path, run: dict[str, Any]) -> Result:
     )
 
 
-def _text(value: object) -> str:
-    if not isinstance(value, str):
-        raise TypeError(f"a text is {value!r}")
-    return value
-
-
-def _best(
-    record: Record,
-    solutions: list[Solution],
-    space: Space | None,
-    views: Any,
-    values: ValueRange | None,
-) -> Solution | None:
-    if record.x_best is None:
-        return None
-    known = next((one for one in solutions if np.array_equal(one.x, record.x_best)), None)
-    return Solution(
-        record.x_best,
-        record.best_loss,
-        record.best_evaluation,
-        None if record.image is None else restored(unpacked(record.image, views), values),
-        None if known is None else known.probability,
-        space,
-        None if known is None else known.estimate,
-    )
-
-
-def _values(settings: dict[str, Any]) -> ValueRange | None:
-    values = value_range_of(settings.get("value_range"))
-    if isinstance(values, str):
-        raise TypeError(f"the range of values is {values!r}")
-    return values
+def _known(
+    path: Path, settings: dict[str, Any], totals: dict[str, Any], space: Space | None
+) -> tuple[list[Solution], Status, Any]:
+    """Solutions, status and weights: of the totals, else of the optimizer."""
+    solutions = read_solutions(totals.get("solutions", []), int(settings["dim"]), space)
+    status = Status("unknown", "What the optimizer knew of the run is not recorded.")
+    if "status" in totals:
+        status = Status(totals["status"], totals["sentence"])
+        if not isinstance(status.sentence, str):
+            raise TypeError(f"a sentence is {status.sentence!r}")
+    if not solutions or settings.get("weights") is not None:
+        with suppress(FideError):  # it needs an encoder of the user's
+            optimizer = optimizer_in(path)
+            if optimizer is not None:
+                status = status if "status" in totals else optimizer.status
+                return solutions or optimizer.solutions(), status, optimizer.weights
+    return solutions, status, None
 
 
 def unpacked(image: Float32, views: Any) -> Any:

@@ -14,7 +14,7 @@ import numpy as np
 
 from fide_plugins.errors import OptionError
 from fide_plugins.validation.options import seconds_of
-from fide_plugins.validation.points import whole_number
+from fide_plugins.validation.points import as_real, whole_number
 from fide_plugins.views.solved import is_solved
 
 if TYPE_CHECKING:
@@ -38,11 +38,7 @@ class Stopping:
 
     @classmethod
     def of(
-        cls,
-        budget: object,
-        time: object,
-        stop_at: Any,
-        until: object = "solved",
+        cls, budget: object, time: object, stop_at: object, until: object = "solved"
     ) -> Stopping:
         """Rules as a user gives them; raises OptionError (a ValueError)."""
         number = None if budget is None else whole_number("budget", budget, 1)
@@ -54,7 +50,10 @@ class Stopping:
                 "budget=None needs another rule by which the fit ends for sure: give time or "
                 "until='stalled'"
             )
-        return cls(number, seconds, _loss(stop_at), str(until))
+        loss = None if stop_at is None else as_real(stop_at)
+        if stop_at is not None and (loss is None or not np.isfinite(loss)):
+            raise OptionError(f"stop_at must be a finite number, a loss, not {stop_at!r}")
+        return cls(number, seconds, loss, str(until))
 
     def reached(
         self, losses: Sequence[float], seconds: float, best: float, improved: bool, optimizer: FIDE
@@ -116,24 +115,14 @@ def _has_fallen(optimizer: FIDE) -> bool:
 
 
 def _is_converged(losses: Sequence[float], best: float, optimizer: FIDE) -> bool:
-    """Whether the search knows the answer as well as noise of the target allows.
-
-    By noise alone the loss of the right parameters exceeds the lowest one by d / n of it, for d
-    parameters and n values of pixels, on average (the chi-squared law).  So many of the last 1,000
-    candidates as a generation has must be as good.  With a noisy renderer losses scatter far more.
-    """
+    """Whether the search knows the answer as well as noise of the target allows."""
     within = best + abs(best) * optimizer.dim / optimizer.views.numbers
     last = np.asarray(losses[-max(_LAST, optimizer.popsize) :])
     return int(np.count_nonzero(last <= within)) >= optimizer.popsize
 
 
 def _is_stalled(code: str, optimizer: FIDE) -> bool:
-    """Whether nothing more is to be expected.
-
-    At the noise floor of a noisy renderer, or several searches ended at the same answer: at once.
-    Otherwise if the loss has not improved by a tenth for 150 generations and for as many
-    evaluations as it took to get there: moves take some ten generations, and mostly fail.
-    """
+    """Whether nothing more is to be expected."""
     if code in ("waiting", "improving"):
         return False
     state = optimizer.state
@@ -141,15 +130,3 @@ def _is_stalled(code: str, optimizer: FIDE) -> bool:
         return True
     since, took = state.evaluations - state.improved_at, state.improved_at - state.retargeted_at
     return since >= max(took, _PATIENCE * optimizer.popsize)
-
-
-def _loss(stop_at: Any) -> float | None:
-    if stop_at is None:
-        return None
-    try:
-        loss = np.nan if isinstance(stop_at, bool | str) else float(stop_at)
-    except (TypeError, ValueError, OverflowError):
-        loss = np.nan
-    if not np.isfinite(loss):
-        raise OptionError(f"stop_at must be a finite number, a loss, not {stop_at!r}")
-    return loss

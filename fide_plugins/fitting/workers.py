@@ -1,7 +1,4 @@
-"""Where renders happen: in this process, in threads, in an executor, in a cluster of Dask.
-
-Processes of our own, each of which can be killed and replaced by itself, are in `processes`.
-"""
+"""Where renders happen: in this process, in threads, in an executor; `processes` has our own."""
 
 from __future__ import annotations
 
@@ -11,6 +8,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field, replace
+from functools import partial
 from multiprocessing import current_process
 from queue import SimpleQueue
 from typing import Any, ParamSpec, Protocol, TypeAlias, TypeVar
@@ -35,20 +33,19 @@ T = TypeVar("T")
 
 
 class Workers(Protocol):
-    """Renders candidates, several at a time."""
+    """Renders candidates, `number` at a time."""
 
     number: int
-    """How many renders run at a time."""
 
     @property
     def usable(self) -> int:
-        """How many of them can render: all but those that hang and cannot be killed."""
+        """How many can render: all but those that hang and cannot be killed."""
 
     def submit(self, x: Any) -> Task:
         """Render the point x (d,), or whatever the renderer takes."""
 
     def outcome(self, task: Task) -> Outcome:
-        """What a task that is done has given; never raises what went wrong."""
+        """What a task that is done has given, or what went wrong."""
 
     def began(self, task: Task) -> float | None:
         """Time of `time.monotonic` when the render began; None if it waits for its worker."""
@@ -81,7 +78,7 @@ class InThisProcess:
         self._renderer = renderer
 
     def submit(self, x: Any) -> Task:
-        """Render the point x (d,), or whatever the renderer takes, now."""
+        """Render it now."""
         task: Task = Future()
         task.set_result(self._renderer(x))
         return task
@@ -90,9 +87,8 @@ class InThisProcess:
         """Image, or what went wrong."""
         return task.result()
 
-    def began(self, task: Task) -> float | None:
+    def began(self, task: Task) -> None:
         """None: it is over."""
-        return None
 
     def abandon(self, task: Task) -> None:
         """Nothing to be done: each render is over."""
@@ -116,7 +112,7 @@ class DaemonThreads(Executor):
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
         """Call the function as soon as a thread is free."""
         future: Future[T] = Future()
-        self._jobs.put((future, fn, args, kwargs))
+        self._jobs.put((future, partial(fn, *args, **kwargs)))
         if len(self._threads) < self._number:
             thread = threading.Thread(target=_work, args=(self._jobs,), daemon=True)
             self._threads.append(thread)
@@ -128,19 +124,17 @@ class DaemonThreads(Executor):
         """End the threads after their jobs."""
         for _ in self._threads:
             self._jobs.put(None)
-        for thread in self._threads if wait else ():
-            thread.join()
 
 
 def _work(jobs: SimpleQueue[tuple[Any, ...] | None]) -> None:
     while (job := jobs.get()) is not None:
-        future, call, args, kwargs = job
+        future, call = job
         if future.set_running_or_notify_cancel():
             try:
-                future.set_result(call(*args, **kwargs))
+                future.set_result(call())
             except BaseException as error:
                 future.set_exception(error)
-        del job, future, call, args, kwargs  # what they hold is not kept while the thread waits
+        del job, future, call  # what they hold is not kept while the thread waits
 
 
 @atexit.register
@@ -180,7 +174,7 @@ class OfExecutor:
         return self.number - len(self._hanging)
 
     def submit(self, x: Any) -> Task:
-        """Render the point x (d,), or whatever the renderer takes."""
+        """Render it as soon as a worker is free."""
         clock = _Clock()
         if self._threads:
             task: Task = self._executor.submit(_noting, clock, self._renderer, x)
@@ -201,11 +195,7 @@ class OfExecutor:
         return made if self._threads else unpack(made)
 
     def began(self, task: Task) -> float | None:
-        """Time at which it began, not that of waiting in the executor's queue.
-
-        The clock of one that has not begun, as far as the executor tells, starts again when another
-        one begins or ends: it runs out where all workers of the executor hang.
-        """
+        """Time at which it began; if nobody tells, when another one did or ended."""
         clock = self._clocks.get(task)
         if clock is None:
             return None
@@ -296,16 +286,16 @@ def workers_for(
     return OfExecutor(DaemonThreads(number), renderer, number, own=True)
 
 
-def _as_executor(executor: object) -> Executor:
+def _as_executor(executor: Any) -> Executor:
     if hasattr(executor, "get_executor"):  # Dask's Client; the same point may be rendered twice
-        made: Executor = executor.get_executor(pure=False)
-        return made
-    if isinstance(executor, Executor) or hasattr(executor, "submit"):
-        return executor  # type: ignore[return-value]
-    raise OptionError(
-        "executor must be 'processes', 'threads', an executor of concurrent.futures or Dask's "
-        f"Client, not {executor!r}"
-    )
+        executor = executor.get_executor(pure=False)
+    if not hasattr(executor, "submit"):
+        raise OptionError(
+            "executor must be 'processes', 'threads', an executor of concurrent.futures or Dask's "
+            f"Client, not {executor!r}"
+        )
+    made: Executor = executor
+    return made
 
 
 def gathered(pool: Workers, X: Float64, limit: float | None) -> Iterator[Outcome]:

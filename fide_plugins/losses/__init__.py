@@ -116,8 +116,6 @@ def resolve(
         loss.check_target(target)
         return loss
     if isinstance(loss, CallableLoss):
-        if target is not None:
-            loss.check_target(target)
         return loss
     if not callable(loss):
         raise LossError(

@@ -119,15 +119,6 @@ class CallableLoss:
         self._function = function
         self._shape = as_target(target).shape
 
-    def check_target(self, target: object) -> None:
-        """Raise `LossError` unless `target` has the shape of this loss's own: all that is known."""
-        shape = as_target(target).shape
-        if shape != self._shape:
-            raise LossError(
-                f"the loss {self.name!r} was made for images of shape {self._shape}, and the "
-                f"target of the optimizer has shape {shape}; make it for that target"
-            )
-
     def __call__(self, images: object) -> Float64:
         """Losses (n,) of images, after validation."""
         return self.compute(as_batch(images, self._shape))

@@ -37,8 +37,32 @@ def make_proposer(
     learned: whether the search begins at hypotheses of a learned model.
     """
     if options.proposer in ("linear", "both"):
-        return _linear(options, dim, popsize, encoder, learned=learned)
-    return _diffusion(options, dim, seed, encoder) if options.has_network else None
+        from fide_plugins.proposers.linear import LinearProposer
+
+        enough = 3 * dim // 2 if are_many(dim, popsize) else 0  # for a regression to tell apart
+        generations = options.buffer_generations or (4 if dim > popsize else 8)
+        remembered = min(max(generations * popsize, enough), MOST)
+        wanted = learned if options.screening is None else options.screening
+        return LinearProposer(
+            dim,
+            capacity=remembered,
+            channel_subsets=channel_subsets(options, encoder),
+            minimum=min(2 * popsize, remembered),
+            screening=wanted and dim > popsize,
+        )
+    if not options.has_network:
+        return None
+    from fide_plugins.proposers.diffusion import DiffusionProposer
+
+    return DiffusionProposer(
+        dim,
+        seed=seed,
+        device=encoder.device,
+        epochs=options.epochs,
+        learning_rate=options.learning_rate,
+        batch_size=options.batch_size,
+        schedule=options.schedule,
+    )
 
 
 def make_steps(
@@ -56,35 +80,3 @@ def make_steps(
 
     channels = channel_subsets(options, encoder)[0]
     return GaussNewtonSteps(ForwardProposer(dim, for_jacobian(dim), channels, minimum=popsize))
-
-
-def _linear(
-    options: Options, dim: int, popsize: int, encoder: PatchEncoder, *, learned: bool
-) -> Proposer:
-    from fide_plugins.proposers.linear import LinearProposer
-
-    enough = 3 * dim // 2 if are_many(dim, popsize) else 0  # for a regression to tell apart
-    generations = options.buffer_generations or (4 if dim > popsize else 8)
-    remembered = min(max(generations * popsize, enough), MOST)
-    wanted = learned if options.screening is None else options.screening
-    return LinearProposer(
-        dim,
-        capacity=remembered,
-        channel_subsets=channel_subsets(options, encoder),
-        minimum=min(2 * popsize, remembered),
-        screening=wanted and dim > popsize,
-    )
-
-
-def _diffusion(options: Options, dim: int, seed: int, encoder: PatchEncoder) -> Proposer:
-    from fide_plugins.proposers.diffusion import DiffusionProposer
-
-    return DiffusionProposer(
-        dim,
-        seed=seed,
-        device=encoder.device,
-        epochs=options.epochs,
-        learning_rate=options.learning_rate,
-        batch_size=options.batch_size,
-        schedule=options.schedule,
-    )

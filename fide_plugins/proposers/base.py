@@ -54,7 +54,4 @@ class Proposer(ABC):
     def load_state_dict(
         self, state: Mapping[str, Any], sides: Sides | None = None, device: Any = None
     ) -> None:
-        """Put back what `state_dict` gave; ValueError if it is none.
-
-        sides: T and C of the tokens of an image, by these names, if they are known.
-        """
+        """Put back what `state_dict` gave; ValueError if it is none.  sides: T and C, if known."""

@@ -8,7 +8,7 @@ import json
 import os
 import shlex
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from fnmatch import fnmatchcase
 from pathlib import Path
 from time import perf_counter
@@ -17,13 +17,12 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from fide_plugins.errors import CheckpointError, DependencyError
-from fide_plugins.recording.record import WORKERS, Record, RunResult, best_so_far, rounds
+from fide_plugins.recording.record import Record, RunResult, best_so_far
 from fide_plugins.recording.sources import versions_with
 from fide_plugins.recording.storage import (
     CHECKPOINT,
     FORMAT,
     TARGET_FILE,
-    KeptTarget,
     RunDirectoryError,
     check_settings,
     checksum,
@@ -31,9 +30,7 @@ from fide_plugins.recording.storage import (
     now,
     read_record,
     read_run,
-    remove_checkpoint,
     write_checkpoint,
-    write_target,
 )
 from fide_plugins.runtime import files, machine
 from fide_plugins.runtime.messages import warn_user
@@ -44,12 +41,9 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 TABLES = ("curve.csv", "improvements.csv")
-TARGET_VALUES = "target.tif"
-LIVE = "live.json"
-"""What a call says of itself between two checkpoints, see `watch.live`."""
 _RESULTS = (*TABLES, "best.png", "best.tif", "reference.png", "summary.png", CHECKPOINT)
 _WRITTEN = (
-    *_RESULTS, LIVE, TARGET_FILE, "run.json", "target.png", TARGET_VALUES,
+    *_RESULTS, TARGET_FILE, "run.json", "target.png", "target.tif",
     "optimizer-*.ckpt", "probe",  # `check_writable`
 )  # fmt: skip
 _LOCK = ".run.lock"  # not that of a comparison, which holds its own meanwhile
@@ -111,11 +105,9 @@ class RunDirectory:
 
     It is locked until `close`, or until the process ends.  Who only reads takes no lock.
 
-    settings: that define the run; a folder with other ones is refused.
+    settings: that define the run; a folder with other ones is refused, but for `may_change`.
     resume: whether an existing run may be continued.
     limits: when the run stops, where that is no setting.
-    may_change: names of settings that may be others when the run is resumed.
-    facts: what else is known at the first call, recorded once.
     sources: fingerprints of the user's files, see `sources.of_files`; warns of one that is edited.
 
     Raises RunDirectoryError (a FileExistsError), also if there are results without a `run.json`,
@@ -131,34 +123,28 @@ class RunDirectory:
         command: Sequence[str] | None = None,
         limits: dict[str, Any] | None = None,
         may_change: Collection[str] = (),
-        facts: dict[str, Any] | None = None,
         sources: Mapping[str, str] | None = None,
     ) -> None:
         self.path = Path(path)
         self.settings: dict[str, Any] = json.loads(json.dumps(settings))  # as it is read back
         files.check_writable(self.path)
         with _lock(self.path) as lock:
+            how = None if command is None else shlex.join(command)
             self._run: dict[str, Any] = {
-                "format": FORMAT,
-                "state": "running",
-                "settings": self.settings,
-                "command": None if command is None else shlex.join(command),
-                "started": now(),
-                "resumed": [],
-                **({} if facts is None else {"facts": facts}),
-            }
+                "format": FORMAT, "state": "running", "settings": self.settings, "command": how,
+                "started": now(), "resumed": [],
+            }  # fmt: skip
             before, begun = read_run(self.path), is_saved(self.path)
-            if before is None:
-                if there := results_in(self.path):
-                    raise RunDirectoryError(
-                        f"{self.path} has no run.json, but {', '.join(there)}, which a run may "
-                        "overwrite; name another directory, or move that away; if it was a run, "
-                        "copy its run.json back to go on with it"
-                    )
-            else:
+            if before is not None:
                 self._check(before["settings"], resume, may_change)
                 self._run = {**before, "settings": self.settings, "state": "running"}
                 self._run["resumed"] = [*before.get("resumed", []), now()]
+            elif there := results_in(self.path):
+                raise RunDirectoryError(
+                    f"{self.path} has no run.json, but {', '.join(there)}, which a run may "
+                    "overwrite; name another directory, or move that away; if it was a run, "
+                    "copy its run.json back to go on with it"
+                )
             if limits is not None:
                 self._run["limits"] = limits
             if sources:
@@ -169,12 +155,6 @@ class RunDirectory:
     def close(self) -> None:
         """Let other processes work on the run; nothing is to be written after this."""
         self._lock.close()
-
-    @property
-    def facts(self) -> dict[str, Any]:
-        """What was recorded at the first call."""
-        facts = self._run.get("facts")
-        return facts if isinstance(facts, dict) else {}
 
     # -- reading -----------------------------------------------------------------------------------
 
@@ -221,13 +201,6 @@ class RunDirectory:
 
     # -- writing -----------------------------------------------------------------------------------
 
-    def begin(self, kept: KeptTarget | None = None) -> None:
-        """Write the run down, after its target, which the record names; None: it is elsewhere."""
-        if kept is not None:
-            write_target(self.path / TARGET_FILE, kept)
-        (self.path / LIVE).unlink(missing_ok=True)
-        self.write_run()
-
     def save(
         self,
         record: Record,
@@ -238,7 +211,7 @@ class RunDirectory:
         """Write a checkpoint, the tables and the best image, each also where another fails.
 
         The checkpoint, the largest, comes last; but the first one first, so that a kill leaves no
-        tables without one.
+        tables without one.  best, values: see `write_tables`.
         """
 
         def write_state() -> None:
@@ -259,21 +232,28 @@ class RunDirectory:
         try_each(
             lambda: files.write_text(self.path / "curve.csv", curve_table(record)),
             lambda: files.write_text(self.path / "improvements.csv", improvements_table(record)),
-            lambda: self._write_picture("best.png", best),
-            lambda: self._write_values("best.tif", values),
+            lambda: self._write_image("best", best, values),
         )
 
     def write_target(self, image: Float32, values: Float32 | None = None) -> None:
         """Write `target.png`, and `target.tif` of its values where these are others, once."""
-        if not (self.path / TARGET_VALUES).exists():
-            self._write_values(TARGET_VALUES, values)
         if not (self.path / "target.png").exists():
-            self._write_picture("target.png", image)
+            self._write_image("target", image, values)
 
     def write_reference(self, result: RunResult) -> None:
         """Write `reference.png` if it differs from the best image of the run."""
         if result.noisy:
-            self._write_picture("reference.png", result.reference)
+            self._write_image("reference", result.reference)
+
+    def _write_image(self, name: str, image: Float32 | None, values: Float32 | None = None) -> None:
+        if values is not None:
+            from fide_plugins.validation.image_files import encoded
+
+            files.write_bytes(self.path / f"{name}.tif", encoded(values, ".tif"))
+        if image is not None:
+            from fide_plugins.recording.figures import as_png
+
+            files.write_bytes(self.path / f"{name}.png", as_png(image))
 
     def write_summary(
         self, result: RunResult, target: Float32, counts: Float32 | None = None
@@ -288,18 +268,6 @@ class RunDirectory:
             warn_user(f"summary.png is left out: {error}")
         else:
             files.write_bytes(self.path / "summary.png", summary(result, target, counts))
-
-    def _write_picture(self, name: str, image: Float32 | None) -> None:
-        if image is not None:
-            from fide_plugins.recording.figures import as_png
-
-            files.write_bytes(self.path / name, as_png(image))
-
-    def _write_values(self, name: str, values: Float32 | None) -> None:
-        if values is not None:
-            from fide_plugins.validation.image_files import encoded
-
-            files.write_bytes(self.path / name, encoded(values, ".tif"))
 
     def write_run(
         self,
@@ -325,12 +293,6 @@ class RunDirectory:
         if state == "finished":
             self._run["checksums"] = {name: checksum(self.path / name) for name in TABLES}
         files.write_text(self.path / "run.json", json.dumps(self._run, indent=2) + "\n")
-
-    def remove_checkpoint(self) -> None:
-        """Remove the state from which the run could continue."""
-        remove_checkpoint(self.path)
-        with suppress(OSError):
-            (self.path / TARGET_FILE).unlink()
 
 
 def _lock(path: Path) -> ExitStack:
@@ -369,13 +331,10 @@ def curve_table(record: Record) -> str:
 
 def improvements_table(record: Record) -> str:
     """`improvements.csv`; what a metric that raised has not measured is empty."""
-    in_round = rounds(record.generations)
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")  # names of losses may need quoting
-    names = ["evaluation", "seconds", f"round_of_{WORKERS}", "loss", *record.metrics]
-    writer.writerow(names)
+    writer.writerow(["evaluation", "seconds", "loss", *record.metrics])
     for k, i in enumerate(record.improvements):
         others = (repr(v[k]) if k < len(v) else "" for v in record.metrics.values())
-        where = [i, f"{record.seconds[i]:.4f}", in_round[i]]
-        writer.writerow([*where, repr(record.losses[i]), *others])
+        writer.writerow([i, f"{record.seconds[i]:.4f}", repr(record.losses[i]), *others])
     return buffer.getvalue()

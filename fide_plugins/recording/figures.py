@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +17,6 @@ THUMBNAIL = 160
 GAIN = 4
 """By how much a picture of a difference is stronger than the difference."""
 INK, MUTED, ACCENT = "#1a1a1a", "#8a8f98", "#c2410c"
-_TITLE = 0.3  # inches above a picture
 
 
 def as_png(image: Float32) -> bytes:
@@ -69,20 +67,6 @@ def difference(target: Float32, image: Float32, counts: Float32 | None = None) -
     return apart
 
 
-def arrangement(panels: Sequence[Panel], width: float, most: float) -> tuple[int, int, float]:
-    """Full rows and columns of panels of one size that make them largest, and the height of all.
-
-    width: inches; most: inches of height.
-    """
-    height, breadth = panels[0].image.shape[:2]
-    best = (0.0, 1, 1, 0.0)
-    for columns in (n for n in range(1, len(panels) + 1) if len(panels) % n == 0):
-        rows = len(panels) // columns
-        scale = min(width / columns / breadth, (most / rows - _TITLE) / height)
-        best = max(best, (scale, rows, columns, rows * (scale * height + _TITLE)))
-    return best[1:]
-
-
 def draw_image(axes: Any, panel: Panel) -> None:
     """Draw a picture with its name."""
     large = max(panel.image.shape[:2]) >= 300
@@ -102,12 +86,11 @@ def draw_curve(axes: Any, losses: Float64, loss: str) -> None:
     if finite.any():
         best = best_so_far(losses)
         shown = np.flatnonzero(finite)[:: max(1, int(finite.sum()) // 4000)]
-        least = _least_shown(losses[finite])
-        if least > 0:
-            axes.set_yscale("log")
-        axes.scatter(index[shown], np.maximum(losses[shown], least), s=3, color=MUTED, alpha=0.35,
+        if losses[finite].min() >= 0 and losses[finite].max() > 0:
+            axes.set_yscale("log", nonpositive="clip")
+        axes.scatter(index[shown], losses[shown], s=3, color=MUTED, alpha=0.35,
                      linewidths=0, label="each render", rasterized=True)  # fmt: skip
-        axes.step(index, np.where(np.isfinite(best), np.maximum(best, least), np.nan), where="post",
+        axes.step(index, np.where(np.isfinite(best), best, np.nan), where="post",
                   color=ACCENT, linewidth=2, label="best so far")  # fmt: skip
         axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), ncol=2, borderpad=0.2,
                     fontsize=8, frameon=False, markerscale=3)  # fmt: skip
@@ -118,14 +101,6 @@ def draw_curve(axes: Any, losses: Float64, loss: str) -> None:
     axes.grid(axis="y", color="#e4e4e7", linewidth=0.6)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
-
-
-def _least_shown(losses: Float64) -> float:
-    """Where a logarithmic axis draws what is 0; -inf if there are losses that it cannot show."""
-    positive = losses[losses > 0]
-    if losses.min() < 0 or not len(positive):
-        return -np.inf
-    return float(positive.min()) if losses.min() > 0 else float(positive.min()) / 10
 
 
 def plain(text: str) -> str:

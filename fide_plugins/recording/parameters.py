@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from fide_plugins.renderers.naming import flat
-from fide_plugins.space import Choice, Kind, Space
-from fide_plugins.types import Estimated, Float64, Solution
+from fide_plugins.space import Choice, Float, Kind, Space
+from fide_plugins.types import Estimated, Solution
 
 ROUGH = "± rough, from the search"
 """Remark on standard deviations that depend on the path of the search."""
@@ -43,11 +43,18 @@ def rows(solutions: Sequence[Solution]) -> list[Row]:
     """One row for each parameter of solutions of the same space (or all without one)."""
     if not solutions:
         return []
-    space = solutions[0].space
-    if space is None:
-        return [_row_of_x(i, solutions) for i in range(len(solutions[0].x))]
-    params = [dict(flat(space.decode(one.x))) for one in solutions]
-    return [_row(name, kind, space, solutions, params) for name, kind in space.parameters.items()]
+    space, first = solutions[0].space, solutions[0]
+    known = space or Space(**{f"x{i}": Float(0, 1) for i in range(len(first.x))})
+    table, params = [], [dict(flat(known.decode(one.x))) for one in solutions]
+    for i, (name, kind) in enumerate(known.parameters.items()):
+        axes, values = known.axes[name], []
+        for solution, given in zip(solutions, params, strict=True):
+            std = None if solution.std is None or len(axes) != 1 else float(solution.std[axes[0]])
+            scaled = None if std is None else _in_units(kind, given[name], std)
+            values.append(_text(given[name], scaled))
+        name = f"x[{i}]" if space is None else name
+        table.append(Row(name, kind.unit or "", values, name not in first.undetermined))
+    return table
 
 
 def is_rough(solution: Solution) -> bool:
@@ -75,29 +82,6 @@ def lines(solution: Solution, most: int) -> list[str]:
     return shown
 
 
-def _row_of_x(i: int, solutions: Sequence[Solution]) -> Row:
-    deviations = [None if one.std is None else float(one.std[i]) for one in solutions]
-    pairs = zip(solutions, deviations, strict=True)
-    values = [_text(float(one.x[i]), deviation) for one, deviation in pairs]
-    return Row(f"x[{i}]", "", values, f"x[{i}]" not in solutions[0].undetermined)
-
-
-def _row(
-    name: str,
-    kind: Kind,
-    space: Space,
-    solutions: Sequence[Solution],
-    params: Sequence[dict[str, Any]],
-) -> Row:
-    axes = space.axes[name]
-    values = []
-    for solution, given in zip(solutions, params, strict=True):
-        std = None if solution.std is None or len(axes) != 1 else float(solution.std[axes[0]])
-        scaled = None if std is None else _in_units(kind, given[name], std)
-        values.append(_text(given[name], scaled))
-    return Row(name, kind.unit or "", values, name not in solutions[0].undetermined)
-
-
 def _in_units(kind: Kind, value: Any, std: float) -> float | None:
     """Standard deviation of a value, from that of its coordinate; None for a choice."""
     if isinstance(kind, Choice):
@@ -121,27 +105,33 @@ def _text(value: Any, std: float | None) -> str:
     if std is None or not np.isfinite(std):
         return f"{value:.4g}" if isinstance(value, float) else str(value)
     digits = max(0, 1 - math.floor(math.log10(std))) if std > 0 else 4
-    fine = std if digits > _DIGITS else 0.0
+    fine = digits > _DIGITS
     if isinstance(value, float) and max(abs(value), std) < _SMALL and (value or std):
-        fine = std
+        fine = True
         above = math.floor(math.log10(abs(value) / std)) if value and std else 2
         shown = f"{value:.{min(max(above, 0) + 1, _DIGITS)}e}" if value else "0"
     else:
         digits = min(digits, _DIGITS)
         shown = f"{value:.{digits}f}" if isinstance(value, float) else str(value)
-    return f"{shown} ± {std:.1e}" if fine else f"{shown} ± {std:.{digits}f}"
+    return f"{shown} ± {std:.1e}" if fine and std else f"{shown} ± {std:.{digits}f}"
 
 
 def solutions_as_data(solutions: Sequence[Solution]) -> list[dict[str, Any]]:
     """Solutions for JSON, without images."""
+
+    def listed(values: Any) -> list[Any] | None:
+        if values is None:
+            return None
+        return [None if one != one else one for one in values.tolist()]  # NaN is no JSON
+
     return [
         {
             "x": one.x.tolist(),
             "loss": one.loss,
             "evaluation": one.evaluation,
-            "std": None if one.std is None else [_number(value) for value in one.std.tolist()],
+            "std": listed(one.std),
             "rough": is_rough(one),
-            "ambiguous": _ambiguous(one),
+            "ambiguous": listed(None if one.estimate is None else one.estimate.ambiguous),
             "probability": one.probability,
         }
         for one in solutions
@@ -149,20 +139,24 @@ def solutions_as_data(solutions: Sequence[Solution]) -> list[dict[str, Any]]:
 
 
 def read_solutions(data: Any, dim: int, space: Space | None) -> list[Solution]:
-    """Solutions of `dim` parameters that `solutions_as_data` gave."""
+    """Solutions of `dim` parameters that `solutions_as_data` gave; raises TypeError, ValueError."""
     if not isinstance(data, list) or not all(isinstance(one, dict) for one in data):
         raise TypeError("its solutions are no list of objects")
     return [_solution(one, dim, space) for one in data]
 
 
 def _solution(data: dict[str, Any], dim: int, space: Space | None) -> Solution:
-    x = _numbers("x", data.get("x"), dim)
-    if not (np.isfinite(x).all() and x.min(initial=0) >= 0 and x.max(initial=0) <= 1):
+    def numbers(name: str) -> Any:
+        if data.get(name) is None:
+            return None
+        array = np.array([math.nan if one is None else float(one) for one in data[name]])
+        if array.shape != (dim,):
+            raise ValueError(f"{name} of a solution has {len(array)} numbers, not {dim}")
+        return array
+
+    x, std, ambiguous = numbers("x"), numbers("std"), numbers("ambiguous")
+    if x is None or not ((x >= 0) & (x <= 1)).all():
         raise ValueError("x of a solution lies outside of [0, 1]")
-    std = None if data.get("std") is None else _numbers("std", data["std"], dim)
-    ambiguous = data.get("ambiguous")
-    if ambiguous is not None:
-        ambiguous = _numbers("ambiguous", ambiguous, dim) > 0
     probability = data.get("probability")
     return Solution(
         x,
@@ -170,21 +164,7 @@ def _solution(data: dict[str, Any], dim: int, space: Space | None) -> Solution:
         int(data.get("evaluation", -1)),
         probability=None if probability is None else float(probability),
         space=space,
-        estimate=Estimated(std, ambiguous, data.get("rough") is True),
+        estimate=Estimated(
+            std, None if ambiguous is None else ambiguous > 0, data.get("rough") is True
+        ),
     )
-
-
-def _numbers(name: str, values: Any, dim: int) -> Float64:
-    array = np.array([math.nan if value is None else float(value) for value in values])
-    if array.shape != (dim,):
-        raise ValueError(f"{name} of a solution has {len(array)} numbers, and there are {dim}")
-    return array
-
-
-def _ambiguous(one: Solution) -> list[bool] | None:
-    known = None if one.estimate is None else one.estimate.ambiguous
-    return None if known is None else known.tolist()
-
-
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None

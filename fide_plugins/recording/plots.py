@@ -1,9 +1,10 @@
-"""Figures of matplotlib that `Result` returns; no window opens, and no global state changes."""
+"""Figures of matplotlib that `Result` returns."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,7 +12,6 @@ from fide_plugins.recording.figures import (
     GAIN,
     INK,
     Panel,
-    arrangement,
     difference,
     draw_curve,
     draw_image,
@@ -19,46 +19,29 @@ from fide_plugins.recording.figures import (
     plain,
 )
 from fide_plugins.recording.record import RunResult
-from fide_plugins.runtime.machine import missing
 from fide_plugins.runtime.messages import counted
+from fide_plugins.runtime.plotting import new_figure
 from fide_plugins.types import Float32, Float64
 
-try:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure as MatplotlibFigure
-except ImportError as error:
-    raise missing("plot", "figures need matplotlib") from error
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
-_WIDTH, _PICTURES, _LOSS = 10.0, 4.5, 2.3  # inches
-
-
-class Figure(MatplotlibFigure):
-    """A figure that a notebook shows, whether or not pyplot is loaded."""
-
-    def __init__(self, width: float, height: float) -> None:
-        super().__init__(figsize=(width, height), dpi=100, facecolor="white", layout="constrained")
-        FigureCanvasAgg(self)
-
-    def _repr_png_(self) -> bytes:
-        return figure_as_png(self)
+_WIDTH, _PICTURES, _LOSS, _TITLE = 10.0, 4.5, 2.3, 0.4  # inches; pictures: at most
 
 
 def result_figure(panels: Sequence[Panel], losses: Float64, loss: str) -> Figure:
-    """Figure of pictures, and of losses (n,) by their name."""
-    n_rows, n_columns, height = arrangement(panels, _WIDTH, _PICTURES)
-    figure = Figure(_WIDTH, height + _LOSS)
-    parts: Any = figure.subfigures(2, 1, height_ratios=[height, _LOSS])
-    pictures = parts[0].subplots(n_rows, n_columns, squeeze=False).ravel()
+    """Figure of pictures in a row, and of losses (n,) by their name."""
+    height, breadth = panels[0].image.shape[:2]
+    high = min(_WIDTH / len(panels) * height / breadth, _PICTURES) + _TITLE
+    figure = new_figure(_WIDTH, high + _LOSS)
+    figure.set_layout_engine("constrained")
+    parts: Any = figure.subfigures(2, 1, height_ratios=[high, _LOSS])
+    pictures = parts[0].subplots(1, len(panels), squeeze=False).ravel()
     for axes, panel in zip(pictures, panels, strict=True):
         draw_image(axes, panel)
     draw_curve(parts[1].subplots(), losses, loss)
-    return figure
-
-
-def curve_figure(losses: Float64, loss: str) -> Figure:
-    """Small figure of losses (n,) by their name."""
-    figure = Figure(5.0, 1.9)
-    draw_curve(figure.subplots(), losses, loss)
+    # a notebook shows it so, whether or not pyplot is loaded
+    figure._repr_png_ = partial(figure_as_png, figure)  # type: ignore[attr-defined]
     return figure
 
 
@@ -76,19 +59,14 @@ def summary(result: RunResult, target: Float32, counts: Float32 | None = None) -
 
 
 def _panels(result: RunResult, target: Float32, counts: Float32 | None) -> list[Panel]:
-    start, best = result.first_image, result.image
+    best = result.image
     panels = [Panel("target", target)]
-    for name, image in (("first render", start), ("best", best)):
+    for name, image in (("first render", result.first_image), ("best", best)):
         if image is not None:
-            panels.append(Panel(name, image, _mse(image, target, counts)))
+            squared = np.square(image.astype(np.float64) - target).mean(axis=-1)
+            panels.append(Panel(name, image, f"MSE {np.average(squared, weights=counts):.3g}"))
     if best is not None:
         panels.append(Panel(f"{GAIN}x difference", difference(target, best, counts)))
     if result.noisy and result.reference is not None:
         panels.append(Panel("reference", result.reference, f"MSE {result.mse:.3g}"))
     return panels
-
-
-def _mse(image: Float32, target: Float32, counts: Float32 | None) -> str:
-    """Mean squared error of an image, weighted by the weights (H, W) of its pixels, as a text."""
-    squared = np.square(image.astype(np.float64) - target).mean(axis=-1)
-    return f"MSE {np.average(squared, weights=counts):.3g}"

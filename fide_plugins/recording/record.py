@@ -1,8 +1,4 @@
-"""Progress, history and result of a run.
-
-A *piece* is a group of candidates that are rendered and told together; *rounds* are those that
-parallel renderers would need: ceil(n / W) for the n candidates of a generation.
-"""
+"""Progress, history and result of a run."""
 
 from __future__ import annotations
 
@@ -16,7 +12,6 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from numpy.typing import NDArray
 
 from fide_plugins.runtime.schema import (
     Schema,
@@ -33,26 +28,6 @@ from fide_plugins.space import Space
 from fide_plugins.status import Status
 from fide_plugins.types import Float32, Float64, Optimizer, Solution
 
-WORKERS = 8
-"""Number of parallel renderers in the record of a run."""
-
-
-def rounds(generations: npt.ArrayLike, workers: int = WORKERS) -> npt.NDArray[np.int64]:
-    """Round, from 1, of each evaluation: (evaluations,).
-
-    generations: number of candidates of each generation, in order.
-
-    >>> rounds([3, 5], workers=2).tolist()
-    [1, 1, 2, 3, 3, 4, 4, 5]
-    """
-    done, numbers = 0, []
-    for size in np.asarray(generations, np.int64).tolist():
-        mine: Any = np.arange(size) // workers + done + 1
-        numbers.append(mine)
-        done += -(-size // workers)
-    return np.concatenate(numbers) if numbers else np.zeros(0, np.int64)
-
-
 PARTS = ("render", "encode", "train", "search")
 """Parts of the time of a run; encode includes the loss."""
 
@@ -64,26 +39,12 @@ SUMMARY = (
 
 
 @dataclass(frozen=True)
-class Keep:
-    """What a run records in addition to the losses; none of it counts as time of the run.
-
-    metrics: names of losses that also measure every image that improves on the best loss.
-    summary: a figure of the whole run, summary.png.
-    checkpoint: whether to keep the checkpoint of a finished run.
-    """
-
-    metrics: tuple[str, ...] = ()
-    summary: bool = True
-    checkpoint: bool = True
-
-
-@dataclass(frozen=True)
 class Progress:
     """Progress of a run.
 
     evaluations, budget: renders done and allowed.  best_loss: infinity before the first finite one.
     wall_s: seconds so far, without interruptions; times: by `PARTS`; time: that are allowed.
-    doing: what is done before the search; then "".  remark: such as "3 rendering, 1 failed".
+    remark: such as "3 rendering, 1 failed".
     """
 
     evaluations: int
@@ -109,13 +70,11 @@ class RunResult:
     losses, seconds: (evaluations,), in the order of evaluation; seconds since the start.
     best_loss: lowest loss, biased low for a noisy task; best_evaluation: its index, from 0.
     reference_loss, mse, recommended_loss: see `Verdict`.
-    wall_s: of the whole run; judge_s: of the noise-free evaluation after it; watch_s: of metrics.
-        times: by `PARTS`.
+    wall_s: without the noise-free evaluation after it and metrics.  times: by `PARTS`.
     x_best, x_recommended: (dim,); image: (H, W, 3), render of x_best; reference: its noise-free
         image; first_image: first render.  None where there is none.
     improvements: (m,), indices of evaluations that were the best so far; metrics: other losses of
         these by name, (m,); judged: other losses of the reference image.
-    generations: (g,), number of candidates of each generation.
     status: what the optimizer knows of the run; params: of x_best; None where unknown.
     """
 
@@ -134,8 +93,6 @@ class RunResult:
     recommended_loss: float
     mse: float
     wall_s: float
-    judge_s: float
-    watch_s: float
     times: dict[str, float]
     x_best: Float64 | None
     x_recommended: Float64 | None
@@ -147,7 +104,6 @@ class RunResult:
     improvements: npt.NDArray[np.int64]
     metrics: dict[str, Float64]
     judged: dict[str, float]
-    generations: npt.NDArray[np.int64]
     status: Status | None = None
     params: dict[str, Any] | None = None
 
@@ -184,9 +140,6 @@ class RunResult:
             "x_recommended": None if recommended is None else recommended.tolist(),
             "judged": {name: _finite(value) for name, value in self.judged.items()},
             "best_evaluation": self.best_evaluation,
-            "rounds": int(rounds(self.generations)[-1]) if len(self.generations) else 0,
-            "judge_s": self.judge_s,
-            "watch_s": self.watch_s,
             "times": self.times,
             **({} if self.params is None else {"params": self.params}),
             **({} if self.status is None else self.status.to_dict()),
@@ -200,7 +153,6 @@ class Record:
     losses, seconds: one entry for each evaluation.
     improvements: evaluations that were the best so far; metrics: one entry for each improvement.
     path: (dim,), point of each improvement; shorter for a run that an earlier version began.
-    generations: number of candidates of each generation.
     pending: (m, dim), candidates that were asked and not yet told.
     failures: renders that gave no image, where a run survives them.
     fineness: state of a `fitting.schedule`; None where all renders are of one kind.
@@ -211,10 +163,8 @@ class Record:
     improvements: array[int] = field(default_factory=lambda: array("q"))
     path: list[Float64] = field(default_factory=list)
     metrics: dict[str, array[float]] = field(default_factory=dict)
-    generations: array[int] = field(default_factory=lambda: array("q"))
     times: dict[str, float] = field(default_factory=lambda: dict.fromkeys(PARTS, 0.0))
     wall_s: float = 0.0
-    watch_s: float = 0.0
     best_loss: float = math.inf
     best_evaluation: int = -1
     x_best: Float64 | None = None
@@ -242,10 +192,7 @@ class Record:
         return Solution(self.x_best.copy(), self.best_loss, self.best_evaluation)
 
     def add(self, X: Float64, images: Float32, losses: Float64) -> list[int]:
-        """Add a piece: candidates (n, dim), images (n, H, W, 3), losses (n,).
-
-        Returns the indices of the candidates that improved the best loss.
-        """
+        """Add candidates (n, dim), images (n, H, W, 3), losses (n,); indices of improvements."""
         told = zip(X, images, losses.tolist(), strict=True)
         return [i for i, one in enumerate(told) if self.add_one(*one)]
 
@@ -266,14 +213,13 @@ class Record:
         self.seconds.append(self.wall_s)
         return improved
 
-    def judge_best(self, best: Solution) -> None:
-        """Replace the best candidate, after images began to be compared in another way."""
+    def keep_only(self, best: Solution) -> None:
+        """Replace the best candidate, after images began to be compared in another way.
+
+        All other losses are of the old comparison, and become infinite.
+        """
         self.best_loss, self.best_evaluation = best.loss, best.evaluation
         self.x_best, self.image = best.x.copy(), best.image
-
-    def keep_only(self, best: Solution) -> None:
-        """The same; all other losses are of the old comparison, and become infinite."""
-        self.judge_best(best)
         self.losses = array("d", [math.inf]) * self.evaluations
         self.losses[best.evaluation] = best.loss
         self.improvements, self.path = array("q", [best.evaluation]), [best.x.copy()]
@@ -312,7 +258,7 @@ class Record:
         return cls(**{**state, **arrays, "metrics": metrics, "path": list(state["path"])})
 
 
-_ARRAYS = {"losses": "d", "seconds": "d", "improvements": "q", "generations": "q"}
+_ARRAYS = {"losses": "d", "seconds": "d", "improvements": "q"}
 """Array fields of a record, and their type codes for `array` and for NumPy."""
 
 
@@ -342,7 +288,6 @@ class Verdict:
     x_recommended: Float64 | None = None
     recommended_loss: float = np.nan
     metrics: dict[str, float] = field(default_factory=dict)
-    seconds: float = 0.0
 
 
 def result_of(
@@ -360,17 +305,18 @@ def result_of(
     """
     r, s = record, settings
     there = None if s.get("space") is None else Space.from_dict(s["space"])
+    names = there or space
+    params = names.decode(r.x_best) if r.x_best is not None and isinstance(names, Space) else None
     same = ("task", "optimizer", "loss", "seed", "task_seed", "dim")
-    copied = ("evaluations", "best_loss", "best_evaluation", "wall_s", "watch_s", "image")
+    copied = ("evaluations", "best_loss", "best_evaluation", "wall_s", "image", "first_image")
     return RunResult(
         **{name: s[name] for name in same},
-        **{name: getattr(r, name) for name in (*copied, "first_image")},
+        **{name: getattr(r, name) for name in copied},
         parameters=int(s["dim"]) if there is None else len(there.names),  # else of each coordinate
         budget=budget,
         reference_loss=verdict.loss,
         recommended_loss=verdict.recommended_loss,
         mse=verdict.mse,
-        judge_s=verdict.seconds,
         times=dict(r.times),
         x_best=None if r.x_best is None else r.x_best.copy(),
         x_recommended=verdict.x_recommended,
@@ -380,21 +326,9 @@ def result_of(
         improvements=np.array(r.improvements, np.int64),
         metrics={name: np.array(values) for name, values in r.metrics.items()},
         judged=dict(verdict.metrics),
-        generations=_evaluated(np.array(r.generations, np.int64), r.evaluations),
         status=status,
-        params=_params(there or space, r.x_best),
+        params=params,
     )
-
-
-def _params(space: object, x: Float64 | None) -> dict[str, Any] | None:
-    return None if x is None or not isinstance(space, Space) else space.decode(x)
-
-
-def _evaluated(asked: NDArray[np.int64], evaluations: int) -> NDArray[np.int64]:
-    """Sizes of the generations, of which the last candidates may be pending, without those."""
-    before = np.cumsum(asked) - asked
-    sizes: NDArray[np.int64] = np.minimum(asked, evaluations - before)[before < evaluations]
-    return sizes
 
 
 _IMAGE = maybe(numbers("H", "W", 3, low=0.0, high=1.0))
@@ -414,10 +348,8 @@ _RECORD: dict[str, Schema] = {
     "improvements": numbers("m", kind="i", low=0.0),
     "path": numbers("k", "d", low=0.0, high=1.0),
     "metrics": table(numbers("m", low=None)),
-    "generations": numbers("g", kind="i", low=0.0, high=2.0**40),
     "times": dict.fromkeys(PARTS, real()),
     "wall_s": real(),
-    "watch_s": real(),
     "best_loss": real(high=math.inf),
     "best_evaluation": whole(-1),
     "x_best": maybe(numbers("d", low=0.0, high=1.0)),
@@ -433,8 +365,5 @@ def check_record(state: Any, dim: int, size: Sequence[int]) -> None:
     sides = {"d": dim, "H": size[0], "W": size[1]}
     schema = {**_RECORD, "fineness": _FINENESS} if "fineness" in state else _RECORD
     check(state, schema, sides, "record")
-    asked, evaluations = int(state["generations"].sum()), sides["e"]
-    if asked != evaluations + sides.get("p", 0):
-        raise ValueError(f"of {asked} candidates asked, {evaluations} were evaluated")
-    if sides["m"] and int(state["improvements"].max()) >= evaluations:
-        raise ValueError(f"an improvement after all {evaluations} evaluations")
+    if sides["m"] and int(state["improvements"].max()) >= sides["e"]:
+        raise ValueError(f"an improvement after all {sides['e']} evaluations")

@@ -11,7 +11,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any, NoReturn
+from typing import Any
 
 __all__ = ["Interrupted", "Interrupts"]
 
@@ -31,14 +31,13 @@ class Interrupts:
     """Turns SIGINT and SIGTERM into `Interrupted` where the state is consistent.
 
     once: whether it is raised once, and signals that follow are only noted, see `block`.
-
     Only Python's main thread receives signals; in other threads this does nothing.
     """
 
     def __init__(self, *, once: bool = False) -> None:
         self._signum: int | None = None
-        self._at_once = False
-        self._once, self._blocked = once, False
+        self._at_once = self._blocked = False
+        self._once = once
 
     def __enter__(self) -> Interrupts:
         self._before: dict[int, Any] = {}
@@ -54,7 +53,8 @@ class Interrupts:
     def check(self) -> None:
         """Raise `Interrupted` if a signal has arrived."""
         if self._signum is not None:
-            self._raise(self._signum)
+            self._blocked = self._once
+            raise Interrupted(self._signum)
 
     def block(self) -> None:
         """From now on only note signals: what was computed is about to be written."""
@@ -82,8 +82,4 @@ class Interrupts:
     def _receive(self, signum: int, frame: FrameType | None) -> None:
         again, self._signum = self._signum is not None, signum
         if not self._blocked and (self._at_once or again):
-            self._raise(signum)
-
-    def _raise(self, signum: int) -> NoReturn:
-        self._blocked = self._once
-        raise Interrupted(signum)
+            self.check()

@@ -24,20 +24,14 @@ _LOSS, _VERSION = "loss=", "version"
 
 def of_files(fingerprints: Mapping[str, str | None]) -> dict[str, str]:
     """Those fingerprints, by reference, that are of a file."""
-    found = {name: one for name, one in fingerprints.items() if one is not None}
-    return {name: one for name, one in found.items() if kind_of(one) == "file"}
+    return {k: one for k, one in fingerprints.items() if one is not None and kind_of(one) == "file"}
 
 
 def of_models(*options: Mapping[str, Any]) -> dict[str, str]:
     """Fingerprints of the files of learned models that options of optimizers name, by reference."""
-    named = {
-        f"{name}={os.fspath(value)}"
-        for given in options
-        for name, value in given.items()
-        if isinstance(value, str | os.PathLike)
-    }
-    models = [reference for reference in sorted(named) if reference.startswith(_HYPOTHESES)]
-    return of_files({reference: of_file(file_of(reference)) for reference in models})
+    models = [one.get("learned") for one in options]
+    files = sorted({os.fspath(one) for one in models if isinstance(one, str | os.PathLike)})
+    return of_files({f"{_HYPOTHESES}{file}": of_file(file) for file in files})
 
 
 def of_weights(optimizer: object) -> dict[str, str]:
@@ -48,46 +42,28 @@ def of_weights(optimizer: object) -> dict[str, str]:
 
 def of_losses(losses: Iterable[ImageLoss]) -> dict[str, str]:
     """Version of each loss that has one, by reference."""
-    return {
-        loss_reference(one.name): f"{_VERSION}:{one.version}"
-        for one in losses
-        if one.version is not None
-    }
-
-
-def loss_reference(name: str) -> str:
-    """Reference of the loss of that name."""
-    return f"{_LOSS}{name}"
+    known = {one.name: one.version for one in losses if one.version is not None}
+    return {f"{_LOSS}{name}": f"{_VERSION}:{version}" for name, version in known.items()}
 
 
 def file_of(reference: str) -> str:
     """File or module of a reference, the network of an encoder, or a loss.
 
-    >>> file_of("mine.py:Search"), file_of("learned=model.fide")
-    ('mine.py', 'model.fide')
-    >>> file_of("encoder=vgg19:relu4_1")
-    'the network of vgg19:relu4_1'
+    >>> file_of("mine.py:Search"), file_of("learned=model.fide"), file_of("encoder=vgg19:relu4_1")
+    ('mine.py', 'model.fide', 'the network of vgg19:relu4_1')
     """
-    if reference.startswith(_HYPOTHESES):
-        return reference.removeprefix(_HYPOTHESES)
-    if reference.startswith(_ENCODER):
-        return f"the network of {reference.removeprefix(_ENCODER)}"
-    if reference.startswith(_LOSS):
-        return f"the loss {reference.removeprefix(_LOSS)}"
+    for prefix, what in ((_HYPOTHESES, ""), (_ENCODER, "the network of "), (_LOSS, "the loss ")):
+        if reference.startswith(prefix):
+            return what + reference.removeprefix(prefix)
     return reference.rpartition(":")[0] or reference
 
 
 def versions_there(run: Mapping[str, Any] | None) -> dict[str, list[str]]:
-    """Fingerprints in the contents of `run.json`, by reference, the newest last.
-
-    Empty where there are none: without such a file, and in one of an earlier version.
-    """
+    """Fingerprints in the contents of `run.json`, by reference, the newest last."""
     found = None if run is None else run.get("sources")
-    if not isinstance(found, dict):
-        return {}
     return {
         reference: versions
-        for reference, versions in found.items()
+        for reference, versions in (found.items() if isinstance(found, dict) else ())
         if isinstance(versions, list) and versions and all(isinstance(v, str) for v in versions)
     }
 
@@ -116,7 +92,7 @@ def versions_with(
     if begun and before is not None:
         here = {name: now for name, now in here.items() if kind_of(now) != _WEIGHTS}
         if before["settings"].get("optimizer") == "fide":
-            own = loss_reference(before["settings"].get("loss", ""))
+            own = _LOSS + before["settings"].get("loss", "")
             here = {k: v for k, v in here.items() if k != own and not k.startswith(_HYPOTHESES)}
     newest = {reference: versions[-1:] for reference, versions in there.items()}
     for reference in edited(newest, here):

@@ -1,4 +1,4 @@
-"""Files of a run as others read them: its record, its checkpoint, its target.
+"""Files of a run as others read them: its record, its checkpoint.
 
 `run.ckpt` names the file of the optimizer, which is written first, under a new name: so a kill at
 any moment leaves a consistent pair.
@@ -14,23 +14,21 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from fide_plugins.errors import CheckpointError, FideError
 from fide_plugins.recording.record import Record, check_record
 from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.files import RefusedFileError, read_regular
 from fide_plugins.runtime.schema import IMPOSSIBLE
-from fide_plugins.types import Float32
-from fide_plugins.validation.images import as_target
 
 if TYPE_CHECKING:
     from fide_plugins.types import Optimizer
 
 
 FORMAT = 2
+TARGET_FILE = "target.ckpt"
+"""The target of a run of the lab, to the last bit."""
 _OF_PICTURES = {
     "weights": "the mask or the weights differ",
     "target": "the target is another one; undo the edit, or begin anew with one that a file has",
@@ -43,14 +41,14 @@ class RunDirectoryError(FideError, FileExistsError):
 
 def read_run(path: Path) -> dict[str, Any] | None:
     """Contents of `run.json` in the folder `path`; None if there is none."""
-    return read_json(path / "run.json", "run", _check_contents)
 
+    def check_contents(run: dict[str, Any]) -> None:
+        if not isinstance(run["state"], str):
+            raise ValueError("its state is no text")
+        if not isinstance(run["settings"], dict) or not isinstance(run.get("resumed", []), list):
+            raise ValueError("its settings are no dict, or its times of resuming no list")
 
-def _check_contents(run: dict[str, Any]) -> None:
-    if not isinstance(run["state"], str):
-        raise ValueError("its state is no text")
-    if not isinstance(run["settings"], dict) or not isinstance(run.get("resumed", []), list):
-        raise ValueError("its settings are no dict, or its times of resuming no list")
+    return read_json(path / "run.json", "run", check_contents)
 
 
 def read_json(
@@ -108,21 +106,14 @@ def is_saved(path: str | os.PathLike[str]) -> bool:
     return os.path.exists(Path(path) / CHECKPOINT)
 
 
-class RunCheckpoint(NamedTuple):
-    """Contents of `run.ckpt`: state of the `Record`, not checked, and the optimizer's file."""
-
-    record: Any
-    optimizer: str
-
-
-def read_checkpoint(path: Path) -> RunCheckpoint:
-    """State of the run in the folder `path`."""
+def read_checkpoint(path: Path) -> tuple[Any, str]:
+    """State of the `Record` in `run.ckpt`, not checked, and the name of the optimizer's file."""
     state = checkpoint.read(path / CHECKPOINT, _RUN)
     with _possible(path):
         name = state["optimizer"]
         if not _OPTIMIZER_FILE.fullmatch(name):
             raise ValueError(f"it names no optimizer's file of the run directory, {name!r}")
-        return RunCheckpoint(state["record"], name)
+        return state["record"], name
 
 
 def read_record(path: Path, dim: int, size: list[int]) -> tuple[Record, Path]:
@@ -138,12 +129,12 @@ def with_optimizer(path: Path, use: Callable[[Path], _T]) -> _T:
 
     The run may go on meanwhile, and replace its checkpoint: then it is called with the newer file.
     """
-    name = read_checkpoint(path).optimizer
+    _, name = read_checkpoint(path)
     while True:
         try:
             return use(path / name)
         except FileNotFoundError:
-            newer = read_checkpoint(path).optimizer
+            _, newer = read_checkpoint(path)
             if newer == name:
                 raise
             name = newer
@@ -161,8 +152,9 @@ def write_checkpoint(path: Path, record: Record, optimizer: Optimizer) -> None:
 
 def remove_checkpoint(path: Path) -> None:
     """Remove the state from the folder `path`, as far as that is possible."""
-    with suppress(OSError):
-        (path / CHECKPOINT).unlink()
+    for name in (CHECKPOINT, TARGET_FILE):
+        with suppress(OSError):
+            (path / name).unlink()
     _remove_optimizers(path)
 
 
@@ -180,44 +172,3 @@ def _possible(path: Path) -> Iterator[None]:
         yield
     except IMPOSSIBLE as error:
         raise CheckpointError(f"{path / CHECKPOINT}: impossible contents ({error})") from error
-
-
-TARGET_FILE = "target.ckpt"
-_TARGET = "target"
-_MEAN, _LARGEST = 1e-5, 1.01 / 255  # rounding by 1e-7 moves a few values of 8 bits by a step
-
-
-class KeptTarget(NamedTuple):
-    """A target (H, W, 3) to the last bit, and by what it is known without another render."""
-
-    image: Float32
-    source: str | None
-
-
-def read_target(path: Path) -> KeptTarget | None:
-    """The target in a file; None if the file is not there, or in a folder that may not be read."""
-    if not os.path.exists(path):
-        return None
-    state = checkpoint.read(path, _TARGET)
-    try:
-        image, source = as_target(np.asarray(state["image"], np.float32)), state["source"]
-        if not isinstance(source, str | None):
-            raise TypeError("its source is no text")
-    except IMPOSSIBLE as error:
-        raise CheckpointError(
-            f"{path}: impossible contents ({error}); start again in another directory"
-        ) from error
-    return KeptTarget(image, source)
-
-
-def write_target(path: Path, target: KeptTarget) -> None:
-    """Write the target to a file, atomically.  Raises OSError."""
-    checkpoint.write(path, _TARGET, target._asdict())
-
-
-def same_target(one: Float32, other: Float32) -> bool:
-    """Whether two images differ by rounding at most."""
-    if one.shape != other.shape:
-        return False
-    off = np.abs(one - other)
-    return float(off.max()) <= _LARGEST and float(off.mean()) <= _MEAN

@@ -64,3 +64,14 @@ def cut(text: str, most: int) -> str:
         return text
     end = (most - 3) // 2
     return f"{text[: most - 3 - end]}...{text[len(text) - end :]}"
+
+
+def duration(seconds: float) -> str:
+    """A duration in one unit.
+
+    >>> duration(0.00042), duration(1.26), duration(75), duration(1500), duration(14000)
+    ('0.42 ms', '1.3 s', '75 s', '25 min', '3.9 h')
+    """
+    if seconds < 90:
+        return f"{seconds:.2g} s" if seconds >= 0.9995 else f"{seconds * 1000:.3g} ms"
+    return f"{seconds / 60:.0f} min" if seconds < 90 * 60 else f"{seconds / 3600:.2g} h"

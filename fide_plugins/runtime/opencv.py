@@ -1,9 +1,6 @@
 """OpenCV; or an error that says what to do where its installation is broken.
 
-Four distributions install the same folder `cv2`.  Two of them in one environment overwrite each
-other's files, and to uninstall one of them breaks the other.
-
-    from fide_plugins.runtime.opencv import cv2
+Four distributions install the same folder `cv2`: to uninstall one of them breaks the others.
 """
 
 from __future__ import annotations
@@ -15,5 +12,3 @@ try:
     import cv2 as cv2
 except ImportError as error:  # also a library of the system that is missing, such as libGL
     raise DependencyError(f"OpenCV cannot be imported ({error}): {opencv_remedy()}") from error
-if not hasattr(cv2, "resize"):  # what is left of the folder is an empty package
-    raise DependencyError(f"OpenCV is installed in part only ({cv2!r}): {opencv_remedy()}")

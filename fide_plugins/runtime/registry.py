@@ -45,14 +45,11 @@ class Registry(Generic[T]):
 
     def register(self, name: str, factory: Callable[..., T] | str) -> None:
         """Add `factory` under `name`, or replace the factory of that name."""
-        if not (isinstance(name, str) and name.isprintable() and name.strip() and ":" not in name):
+        named = isinstance(name, str) and name.isprintable() and name.strip() and ":" not in name
+        if not named or not (callable(factory) or str(factory).count(":") == 1):
             raise OptionError(
-                f"the name of a {self._kind} is a printable string without a colon, got {name!r}"
-            )
-        if not callable(factory) and not (isinstance(factory, str) and factory.count(":") == 1):
-            raise OptionError(
-                f"the factory of {self._kind} {name!r} is a callable or 'module:attribute', "
-                f"got {factory!r}"
+                f"a {self._kind} needs a printable name without a colon, and a factory, callable "
+                f"or 'module:attribute', got {name!r}, {factory!r}"
             )
         self._factories[name] = factory
 
@@ -64,8 +61,7 @@ class Registry(Generic[T]):
         """Return the factory called `name`; raises `UnknownNameError` if there is none."""
         factory = self._factories.get(name) if isinstance(name, str) else None
         if factory is None:
-            known = [*self._factories, *self._patterns]
-            raise UnknownNameError.of(self._kind, name, known)
+            raise UnknownNameError.of(self._kind, name, [*self._factories, *self._patterns])
         if isinstance(factory, str):
             module, attribute = factory.split(":")
             imported: Callable[..., T] = getattr(import_module(module), attribute)
@@ -137,12 +133,14 @@ class Referent:
             module = self._execute(place) if place.endswith(".py") else _import(place)
         except (FideError, KeyboardInterrupt):
             raise
-        except ModuleNotFoundError as error:
-            if error.name is None or not f"{place}.".startswith(f"{error.name}."):
-                raise _unusable(place, error) from None
-            raise UnknownNameError(f"no module {place!r}; {self.form}") from None
         except BaseException as error:  # scripts end by sys.exit
-            raise _unusable(place, error) from None  # the message has its traceback
+            name = error.name if isinstance(error, ModuleNotFoundError) else None
+            if name is not None and f"{place}.".startswith(f"{name}."):
+                raise UnknownNameError(f"no module {place!r}; {self.form}") from None
+            shown = shown_traceback(error)
+            raise OptionError(
+                f"{place} cannot be imported; mend this error in it:\n{shown}"
+            ) from None  # the message has its traceback
         if module not in _FINGERPRINTS:  # at once: the file may be edited while this process runs
             file = getattr(module, "__file__", None)
             _FINGERPRINTS[module] = None if file is None else of_file(file)
@@ -182,11 +180,6 @@ def _import(name: str) -> ModuleType:
     if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())
     return import_module(name)
-
-
-def _unusable(place: str, error: BaseException) -> OptionError:
-    shown = shown_traceback(error)
-    return OptionError(f"{place} cannot be imported; mend this error in it:\n{shown}")
 
 
 def _names(module: ModuleType) -> str:

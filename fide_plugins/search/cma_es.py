@@ -126,10 +126,7 @@ class CMAES(Stateful):
         self.largest_std = widest * float(scales.mean())
         self._two_point = TwoPoint(d) if are_many(d, k) else None
         self._set_weights(d, k)
-        if (scales == scales[0]).all():
-            self._take(np.diag(self.C), np.eye(d))
-        else:
-            self._decompose()
+        self._decompose()
 
     def _set_weights(self, d: int, k: int) -> None:
         """Weights and rates of learning, from dimension and population alone."""
@@ -209,8 +206,14 @@ class CMAES(Stateful):
         self.generation += 1
         long_path = self._update_paths(y_w)
         self._update_covariance(y, lengths, long_path)
-        lost = pair is None or bool(injected[list(pair)].any())
-        self._scale_sigma(self._sigma_factor(y_w, losses, None if lost else pair))
+        if self._two_point is None:
+            path = float(np.linalg.norm(self.p_sigma))
+            rate = self._c_sigma / self._d_sigma * (path / self._chi - 1)
+            factor = float(np.exp(min(1.0, rate)))  # eq. 44
+        else:
+            lost = pair is None or bool(injected[list(pair)].any())
+            factor = self._two_point.factor(y_w, losses, None if lost else pair)
+        self._scale_sigma(factor)
         self._rescale()
         far = lengths.max() > _OUTLIER * self._longest_step  # C may be singular, but for rounding
         if far or self.generation % self._decompose_every == 0:
@@ -233,14 +236,6 @@ class CMAES(Stateful):
         other._set_weights(self.dim, len(z))
         other.tell(z, losses, injected)
         return other
-
-    def _sigma_factor(self, y_w: Float64, losses: Float64, pair: tuple[int, int] | None) -> float:
-        """What to multiply the step size by."""
-        if self._two_point is not None:
-            return self._two_point.factor(y_w, losses, pair)
-        path = float(np.linalg.norm(self.p_sigma))
-        rate = self._c_sigma / self._d_sigma * (path / self._chi - 1)
-        return float(np.exp(min(1.0, rate)))  # eq. 44
 
     def _lengths(self, y: Float64) -> Float64:
         """Mahalanobis lengths (n,) of steps (n, d): |C^(-1/2) y|."""
@@ -302,10 +297,7 @@ class CMAES(Stateful):
 
     def _decompose(self) -> None:
         """B and D of C, which is symmetric and kept positive definite."""
-        self._take(*np.linalg.eigh(self.C))
-
-    def _take(self, eigenvalues: Float64, B: Float64) -> None:
-        self._B = B
+        eigenvalues, self._B = np.linalg.eigh(self.C)
         floor = max(eigenvalues[-1], _TINY) / _LARGEST_CONDITION
         if eigenvalues[0] < floor:
             eigenvalues = np.maximum(eigenvalues, floor)

@@ -201,8 +201,11 @@ class Search(Stateful):
         if validity is None:
             return draw(n)
         x, z, invalid = validity.sample(draw, n)
-        if invalid.any():
-            x = validity.at_nearest(x, invalid, self._start.mean)
+        if invalid.any():  # towards the nearest of those that are valid
+            start = self._start.mean
+            valid = x[~invalid] if not invalid.all() else start[None]
+            nearest = np.linalg.norm(x[:, None] - valid, axis=2).argmin(axis=1)
+            x = validity.moved_back(x, valid[nearest], start)
             z[invalid] = self.distribution.shortened(self.closest(x[invalid]))
         return x, z
 

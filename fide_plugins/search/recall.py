@@ -7,7 +7,6 @@ candidates say whose images differ from that of b by what is wrong with it.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from torch import Tensor
@@ -23,14 +22,6 @@ _SMALLEST, _LARGEST = 0.01, 1.0  # standard deviation at the start, in units of 
 _LEAST_CHANGE = 0.05  # of D, that parameters can remove
 _HYPOTHESES = 3  # remembered candidates that are rendered again, first
 _AS_NEAR = 1.5  # times D: distance of the others of these
-
-
-class _Distances(NamedTuple):
-    """Of features (n, f) of remembered images from the old and the new picture, (n,) each."""
-
-    old: Float64
-    new: Float64
-    features: Float64
 
 
 @dataclass(frozen=True)
@@ -58,52 +49,36 @@ def recall(
     known: of the scene, with the old target.  new: (T, C), tokens of the new one.
     learned: how many samples proposers learn from, at least one.
     """
-    distances = _distances(samples, known.target, new, known.channels)
-    losses = _estimated_losses(samples, distances)
-    b = int(np.argmin(distances.new))
-    x = _aligned(np.array([sample.x for sample in samples]), b, known)
-    from_b = np.linalg.norm(distances.features - distances.features[b], axis=1)
-    by_scale = _by_scale(from_b, _removable(distances, b))
+    features = np.stack([_features(sample.tokens, known.channels) for sample in samples])  # (n, f)
+    from_old, from_new = (  # distances (n,)
+        np.linalg.norm(features - _features(picture, known.channels), axis=1)
+        for picture in (known.target, new)
+    )
+    # An image gets the loss that images at its distance had to the old picture.
+    ordered = np.sort([sample.loss for sample in samples])
+    places = np.searchsorted(np.sort(from_old), from_new)
+    losses: Float64 = ordered[np.minimum(places, len(ordered) - 1)]
+    b = int(np.argmin(from_new))
+    x = np.array([sample.x for sample in samples])
+    exchangeable = known.exchangeability
+    if exchangeable.blocks is not None and not exchangeable.ordered:
+        x = np.array([exchangeable.aligned(row, x[b]) for row in x])
+    from_b = np.linalg.norm(features - features[b], axis=1)
+    # What no parameters remove of the distance D of image b was there before, too.
+    D, R = float(from_new[b]), float(from_old.min())
+    removable = float(np.sqrt(max(D**2 - R**2, (_LEAST_CHANGE * D) ** 2)))
+    by_scale = _by_scale(from_b, removable)
     std = _spread(x, b, by_scale[: max(_FEWEST, popsize)], known)
     chosen = [b, *by_scale[: learned - 1]]
-    chosen.sort(key=lambda i: -distances.new[i])
+    chosen.sort(key=lambda i: -from_new[i])
     taught = [replace(samples[i], x=x[i], loss=float(losses[i])) for i in chosen]
     start = Start(x[b], std, patience=_PATIENCE)
-    return Recalled(start, _hypotheses(x, distances.new, known), taught, losses)
-
-
-def _estimated_losses(samples: list[TrainingSample], distances: _Distances) -> Float64:
-    """Losses (n,) to the new picture, of samples with their losses to the old one.
-
-    An image gets the loss that images at its distance had to the old picture.
-    """
-    ordered = np.sort([sample.loss for sample in samples])
-    places = np.searchsorted(np.sort(distances.old), distances.new)
-    losses: Float64 = ordered[np.minimum(places, len(ordered) - 1)]
-    return losses
-
-
-def _distances(
-    samples: list[TrainingSample], old: Tensor, new: Tensor, channels: int | None
-) -> _Distances:
-    features = np.stack([_features(sample.tokens, channels) for sample in samples])
-    to_old = np.linalg.norm(features - _features(old, channels), axis=1)
-    to_new = np.linalg.norm(features - _features(new, channels), axis=1)
-    return _Distances(to_old, to_new, features)
+    return Recalled(start, _hypotheses(x, from_new, known), taught, losses)
 
 
 def _features(tokens: Tensor, channels: int | None) -> Float64:
     seen = tokens.detach()[:, :channels].cpu().numpy()
     return np.asarray(seen, np.float64).ravel()
-
-
-def _removable(distances: _Distances, b: int) -> float:
-    """Part of D, the distance of image b, that parameters can be expected to remove.
-
-    What no parameters can (R, the smallest distance to the old picture) was there before.
-    """
-    D, R = float(distances.new[b]), float(distances.old.min())
-    return float(np.sqrt(max(D**2 - R**2, (_LEAST_CHANGE * D) ** 2)))
 
 
 def _by_scale(from_b: Float64, scale: float) -> list[int]:
@@ -113,14 +88,6 @@ def _by_scale(from_b: Float64, scale: float) -> list[int]:
     ratio = np.abs(np.log((from_b[others] + tiny) / (scale + tiny)))
     ordered: list[int] = others[np.argsort(ratio, kind="stable")].tolist()
     return ordered
-
-
-def _aligned(x: Float64, b: int, known: Known) -> Float64:
-    """Candidates (n, d) in the order of blocks that is nearest to candidate b."""
-    exchangeable = known.exchangeability
-    if exchangeable.blocks is None or exchangeable.ordered:
-        return x
-    return np.array([exchangeable.aligned(row, x[b]) for row in x])
 
 
 def _spread(x: Float64, b: int, which: list[int], known: Known) -> Float64:

@@ -11,7 +11,7 @@ from fide_plugins.search.cma_es import CMAES
 from fide_plugins.search.mixed import Mixed
 from fide_plugins.space import Space
 from fide_plugins.space.constraints import constraints_not_stored, constraints_of
-from fide_plugins.types import Float64, Indices, Mask
+from fide_plugins.types import Float64, Mask
 
 _ROUNDS = 200  # in which invalid samples are drawn again
 _REDRAWN = 20  # in which restart candidates are drawn
@@ -118,23 +118,10 @@ class Validity:
 
         other: (d,), a valid point in place of anchors that are not valid.
         """
-        invalid = np.flatnonzero(~self._count(x))
-        if not len(invalid):
+        which = np.flatnonzero(~self._count(x))
+        if not len(which):
             return x
         anchors = np.where(self.of(anchors)[:, None], anchors, other)
-        return self._towards(x, anchors, invalid)
-
-    def at_nearest(self, x: Float64, which: Mask, other: Float64) -> Float64:
-        """Points x (n, d), of which those in `which` (n,) are invalid, moved back to the nearest.
-
-        other: (d,), a valid point for where none of x is.
-        """
-        valid = x[~which] if not which.all() else other[None]
-        distances = np.linalg.norm(x[:, None] - valid, axis=2)  # (n, valid)
-        return self._towards(x, valid[distances.argmin(axis=1)], np.flatnonzero(which))
-
-    def _towards(self, x: Float64, anchors: Float64, which: Indices) -> Float64:
-        """Points `which` of x (n, d) as far from their anchors (n, d) as is valid."""
         x, ends, anchors = x.copy(), x[which], anchors[which]
         good, bad = np.zeros((len(which), 1)), np.ones((len(which), 1))
         for _ in range(_HALVINGS):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -62,7 +63,7 @@ def deviations_at(
     """
     means_of = [1] * len(slopes) if together is None else together
     arrays = zip(slopes, residuals, images, weights, means_of, strict=True)
-    views = [_small(*one) for one in arrays]
+    views = [_small(*one, together=k) for *one, k in arrays]
     p = len(slopes[0])
     J = np.concatenate([view.slopes.reshape(p, -1) for view in views], axis=1)
     r = np.concatenate([view.residual.ravel() for view in views])
@@ -79,8 +80,7 @@ def deviations_at(
     return std
 
 
-@dataclass(frozen=True, eq=False)
-class _View:
+class _View(NamedTuple):
     """Arguments of `deviations_at` for one view; rounding: variance of a number by 8 bits."""
 
     slopes: Float64
@@ -107,16 +107,13 @@ def means(pixels: Float64, k: int) -> Float64:
     return reduced
 
 
-def _small(
-    slopes: Float64, residual: Float64, image: Float64, weights: Float64, together: int
-) -> _View:
+def _small(*arrays: Float64, together: int) -> _View:
     """The same in means of k x k pixels, and in one color where all are equal."""
-    arrays = [slopes, residual, image, weights]
     if all((one == one[..., :1]).all() for one in arrays):
-        arrays = [one[..., :1] for one in arrays]
-    k = pixels_together(len(slopes), *arrays[1].shape)
-    arrays = [means(one, k) for one in arrays]
-    return _View(arrays[0], arrays[1], arrays[2], arrays[3], _ROUNDING / (k * together) ** 2)
+        arrays = tuple(one[..., :1] for one in arrays)
+    k = pixels_together(len(arrays[0]), *arrays[1].shape)
+    slopes, residual, image, weights = (means(one, k) for one in arrays)
+    return _View(slopes, residual, image, weights, _ROUNDING / (k * together) ** 2)
 
 
 def _correlated(view: _View) -> Float64:

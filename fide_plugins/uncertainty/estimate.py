@@ -44,29 +44,13 @@ _MOST = 600  # samples that are compared with each other
 _SAME = 1e-9  # of the largest change of the image: neither is better
 
 
-def misses_of(around: Surroundings, target: Float64) -> Float64:
-    """(n,), squared, by how much features (n, f) of samples miss the target (f,)."""
-    missed: Float64 = np.square(around.features - target).sum(axis=1)
-    return missed
-
-
-def explain_as_well(around: Surroundings, missed: Float64, model: FitToTarget) -> Mask:
-    """(n,), samples with an image as good to 8 bits, or within the noise of the target.
-
-    missed: (n,), of `misses_of`.
-    """
-    rounding = _ROUNDING * around.features.shape[1]
-    good: Mask = missed <= max(missed[around.at] + _ODDS * noise_of(model), rounding)
-    return good
-
-
 def limits(around: Surroundings, missed: Float64, model: FitToTarget, std: Float64) -> Float64:
     """How far (p,) the truth may be in each number that is open; infinite where nothing limits it.
 
     What the model leaves open is open only where samples speak for it: an image as good lies far
     away in that number, or the number has no effect.  Else samples as good limit it.
 
-    missed: (n,), of `misses_of`.  std: (p,), by the model alone.
+    missed: (n,), squared, by how much samples miss the target.  std: (p,), by the model alone.
     """
     noise = noise_of(model)
     # by how much the noise of a render changes what it misses: a standard deviation, squared errors
@@ -122,10 +106,8 @@ _SPREAD = 1.0  # standard deviations of the difference, by the error of delta
 class OtherValue(NamedTuple):
     """Another value of an integer or a choice, which was rendered.
 
-    axes: (a,), of that parameter.
-    rows: (n,), samples with this value, and with the solution's own values of all others.
-    own: (n,), for each the sample with the own value that was asked at the nearest time; some of
-        these may be there several times.
+    axes: (a,), of that parameter.  rows: (n,), samples with this value, and the solution's own ones
+    of all others; own: (n,), for each the sample with the own value asked at the nearest time.
     """
 
     axes: Indices
@@ -193,13 +175,10 @@ class LocalEstimate:
     """How sure the parameters of a solution are, computed when it is first read.
 
     x: (d,), the solution.
-    samples: evaluated candidates; some may be in it twice.  Empty once `std` was read: a history of
-        solutions would keep them all.
-    target: (T, C), tokens.
-    channels: so many leading channels of the tokens count; None: all.
-    axes: which of them are periodic.
-    discrete: (d,), axes of integers and choices; None: there are none.
-    blocks: (n, L), exchangeable blocks; None: there are none.
+    samples: evaluated candidates, some perhaps twice; empty once `std` was read.
+    target: (T, C), tokens; channels: so many leading ones count; None: all.
+    axes, discrete, blocks: periodic axes; (d,), those of integers and choices; (n, L), exchangeable
+        ones; None: there are none.
     """
 
     x: Float64
@@ -242,7 +221,7 @@ class LocalEstimate:
         if around is None:
             return Estimated(None, ambiguous)
         target = features_of([self.target], self.channels)[0]
-        missed = misses_of(around, target)
+        missed = np.square(around.features - target).sum(axis=1)
         near = most_alike(around, float(missed[around.at]))  # 1
         others = other_values(around, self.axes)
         model, features = self._fit(around, target, near, others)  # 2
@@ -250,23 +229,17 @@ class LocalEstimate:
         std[around.free] = deviations(model._replace(as_far=as_far))
         for other, e, own_e in zip(others, features[::2], features[1::2], strict=True):  # 4
             ambiguous[other.axes] |= looks_alike(model, around, other, e, own_e)
-        ambiguous |= self._differs(around, explain_as_well(around, missed, model))
+        # another value of which an image is as good to 8 bits, or within the noise of the target
+        least = _ROUNDING * around.features.shape[1]
+        good = missed <= max(missed[around.at] + _ODDS * noise_of(model), least)
+        differs = np.flatnonzero(around.other[around.matched & good].any(axis=0))
+        ambiguous |= np.isin(np.arange(len(self.x)), self.axes.together(differs))
         return Estimated(std, ambiguous)
-
-    def _differs(self, around: Surroundings, good: Mask) -> Mask:
-        """(d,), integers and choices that have another value in a sample that is good (n,)."""
-        other = np.flatnonzero(around.other[around.matched & good].any(axis=0))
-        return np.isin(np.arange(len(self.x)), self.axes.together(other))
 
     def _fit(
         self, around: Surroundings, target: Float64, near: Indices, others: Sequence[OtherValue]
     ) -> tuple[FitToTarget, list[Float64]]:
-        """The linear model of the samples `near` (m,); features of other values and own ones.
-
-        target: (f,), features of the target.
-
-        The features of all of them, and of the target, are turned into few at once.
-        """
+        """The linear model of the samples `near` (m,); features of other values and own ones."""
         parts = [near, *(rows for other in others for rows in (other.rows, other.own))]
         f = independent(target, len(self.target), around.features)
         every, target = compressed(around.features[np.concatenate(parts)], target)

@@ -125,15 +125,7 @@ def energy_of(changes: Float64) -> Float64:
 
 
 class _Regression(NamedTuple):
-    """Weighted least squares.
-
-    center, origin: (d,), (f,), weighted means of u and e.
-    spread: (d,), weighted standard deviations of u, in units of which all that follows is: a search
-        may know one parameter to 1e-9 and another not at all.  1 for parameters that never moved.
-    J: (d, f).  u, e: (n, d), (n, f), without their means.  weighted: (n, d), u times its weights.
-    normal: (d, d), u^T W u, with a ridge.
-    shares: (n,), weights that sum to 1.  leverages: (n,), without these.
-    """
+    """Weighted least squares."""
 
     center: Float64
     origin: Float64
@@ -203,11 +195,7 @@ _TINIEST = float(np.finfo(np.float64).tiny)
 
 
 class _Directions(NamedTuple):
-    """Directions w_i with w_i^T E w_j = (i = j) and w_i^T J J^T w_i = ratio_i.
-
-    steps: (d, d), w_i in its columns.  slopes: (d, d), with J J^T = slopes diag(ratios) slopes^T.
-    ratios: (d,).  chance: (d,), whether J may be nothing but its error.
-    """
+    """Directions w_i with w_i^T E w_j = (i = j) and w_i^T J J^T w_i = ratio_i."""
 
     steps: Float64
     slopes: Float64
@@ -215,10 +203,10 @@ class _Directions(NamedTuple):
     chance: Mask
 
 
-def information(fit: LocalFit, least: float = _RESOLVED) -> Float64:
-    """J J^T (d, d) without its error, in the directions in which it exceeds `least` times that."""
+def information(fit: LocalFit) -> Float64:
+    """J J^T (d, d) without its error, in the directions in which it exceeds that."""
     found = _directions(fit)
-    known = np.where(found.ratios > least, found.ratios - 1, 0.0)
+    known = np.where(found.ratios > _RESOLVED, found.ratios - 1, 0.0)
     energy: Float64 = (found.slopes * known) @ found.slopes.T
     return energy
 
@@ -313,15 +301,11 @@ def covariance(model: FitToTarget) -> Float64:
 
 def deviations(model: FitToTarget) -> Float64:
     """Standard deviations (d,), in units of the unit cube."""
-    std: Float64 = np.sqrt(np.diag(covariance(model)))
-    return std
+    return np.asarray(np.sqrt(np.diag(covariance(model))))
 
 
 def _inverse(precision: Float64) -> Float64:
-    """Inverse (d, d), positive also where the last digits of its largest directions hide others.
-
-    Of directions that they hide only the prior is known, which is in `precision` (d, d), symmetric.
-    """
+    """Inverse (d, d), positive also where the last digits of its largest directions hide others."""
     scale = np.sqrt(np.maximum(np.diag(precision), _BOX))
     values, vectors = np.linalg.eigh(precision / np.outer(scale, scale))
     vectors = vectors / scale[:, None]

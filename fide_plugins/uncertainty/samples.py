@@ -16,7 +16,6 @@ from fide_plugins.population.candidate import TrainingSample, in_order
 from fide_plugins.search import mixed
 from fide_plugins.search.mixed import Axes
 from fide_plugins.types import Float64, Indices, Mask
-from fide_plugins.uncertainty.local_fit import fit_locally, information
 
 # -- features --------------------------------------------------------------------------------------
 
@@ -61,67 +60,10 @@ def independent(target: Float64, tokens: int, features: Float64) -> int:
     return max(1, int(shown.sum())) * different
 
 
-# -- twins -----------------------------------------------------------------------------------------
-
-
-_FEWEST_INNER, _EACH_INNER = 60, 6  # samples of the first model, or so many a parameter
-_CERTAIN = 4.0  # times its error, from which on J J^T counts here
-_FARTHER = 10.0  # times as far away, squared, as the image says
-_STEP = 0.15  # of the cube
-
-
-def of_twins(u: Float64, e: Float64, distances: Float64, periodic: Mask | None) -> Mask:
-    """(n,), samples that look like the solution and are not connected to it, see `most_alike`.
-
-    Suspects are those whose image, by a linear model of the nearest samples, should differ by far
-    more than it does.  Those that small steps reach lie on a curve of equal images, and stay; the
-    others, and what is nearer to one of them than to the solution, are of a twin.
-
-    u: (n, d), steps from the solution, n > d + 1.  e: (n, f), features.
-    distances: (n,), squared, of their features from those of the solution; positive.
-    periodic: (d,), None: no axis is.
-    """
-    number = max(_FEWEST_INNER, _EACH_INNER * u.shape[1])
-    inner = np.sort(np.argsort(np.abs(u).max(axis=1), kind="stable")[:number])
-    fit = fit_locally(u[inner], e[inner], distances[inner])
-    seen = _seen(u, information(fit, _CERTAIN))
-    expected = np.square(seen).sum(axis=1)
-    suspects = expected > _FARTHER * np.maximum(distances, fit.reach)
-    alike = inner[distances[inner] <= fit.reach]
-    joined = _joined(u, suspects, alike, periodic)
-    twins: Mask = suspects & ~joined
-    for one in seen[twins]:
-        twins |= ~joined & (np.square(seen - one).sum(axis=1) < expected)
-    return twins
-
-
-def _joined(u: Float64, suspects: Mask, latest: Indices, periodic: Mask | None) -> Mask:
-    """(n,), suspects that are reached from `latest` (m,) in small steps, by way of suspects."""
-    joined = np.zeros(len(u), bool)
-    while len(latest):
-        rest = np.flatnonzero(suspects & ~joined)
-        latest = rest[[_gap(one, u[latest], periodic) <= _STEP for one in u[rest]]]
-        joined[latest] = True
-    return joined
-
-
-def _seen(u: Float64, energy: Float64) -> Float64:
-    """Coordinates (n, d) of u (n, d) in which the image changes by the length of a step."""
-    values, vectors = np.linalg.eigh(energy)
-    scaled: Float64 = u @ (vectors * np.sqrt(np.maximum(values, 0.0)))
-    return scaled
-
-
-def _gap(one: Float64, others: Float64, periodic: Mask | None) -> float:
-    """The largest coordinate of the step from one (d,) to the nearest of others (m, d)."""
-    return float(mixed.distance(others, one, periodic).max(axis=1).min())
-
-
 # -- selection -------------------------------------------------------------------------------------
 
 
 _NEAREST, _EACH = 320, 6  # samples, or so many a parameter: noise widens what fewer say
-_SPARE = 2  # times as many, of which those of twins are left out
 _FEWEST = 2.0  # samples a parameter, and a few more
 _FEW_MORE = 10
 _ROUNDING = 1e-6  # of a coordinate that came back in single precision
@@ -133,16 +75,14 @@ _APART = 0.05  # of the cube: farther away than that no image is the solution's
 class Surroundings:
     """The samples of a run, as seen from a solution.
 
-    points: (n, d), with blocks in the order of those of the solution.
-    matched: (n,), samples of which the blocks could be matched.
-    other: (n, d), coordinates of integers and choices that have another value.
-    own: (m,), rows of the matched samples in which none has.
+    points: (n, d), with blocks in the order of those of the solution; matched: (n,), where these
+        could be matched.
+    other: (n, d), coordinates of integers and choices that have another value; own: (m,), rows of
+        the matched samples in which none has.
     u: (n, d), steps from the solution, the shorter way around.
-    free: (d,), axes of numbers; p of them.
-    periodic: (p,), which of these wrap around; None: none does.
-    features: (n, f), of their images.
-    distances: (n,), squared, from the features of the own sample at the solution.
-    at: row of that sample.
+    free: (d,), axes of numbers; p of them; periodic: (p,), which of these wrap around, or None.
+    features: (n, f), of their images; distances: (n,), squared, of these from those of the own
+        sample at the solution, which is in row `at`.
     """
 
     points: Float64
@@ -203,18 +143,11 @@ def surroundings(
 def most_alike(around: Surroundings, missed: float) -> Indices:
     """Rows of the own samples whose images are most like the solution's, in the order of asking.
 
-    Without those of a twin, which has the same image far away: a linear model with it would say
-    that the step between the two changes nothing.
-
     missed: squared, by how much the solution misses the target.
     """
     number = max(_NEAREST, _EACH * int(around.free.sum()))
-    pool = _nearest_images(_told_apart(around, missed), around.distances, _SPARE * number)
-    e, _ = compressed(around.features[pool], around.features[around.at])
-    twins = of_twins(around.steps(pool), e, floored(around.distances[pool]), around.periodic)
-    rest = pool[~twins]
-    enough = len(rest) >= _least(around.free)
-    return _nearest_images(rest if enough else pool, around.distances, number)
+    rows = _told_apart(around, missed)
+    return np.sort(rows[np.argsort(around.distances[rows], kind="stable")[:number]])
 
 
 def _told_apart(around: Surroundings, missed: float) -> Indices:
@@ -231,11 +164,6 @@ def _told_apart(around: Surroundings, missed: float) -> Indices:
 def _least(free: Mask) -> int:
     """How many samples an estimate needs at least."""
     return int(_FEWEST * free.sum()) + _FEW_MORE
-
-
-def _nearest_images(rows: Indices, distances: Float64, number: int) -> Indices:
-    """So many of the rows with the least distances (n,), in the order of asking."""
-    return np.sort(rows[np.argsort(distances[rows], kind="stable")[:number]])
 
 
 _NUMBERS = 2**22  # differences of blocks that are held at once

@@ -89,19 +89,21 @@ def as_target(
     Raises ImageError (a ValueError) for wrong shape, type or values; `ImageNotFoundError` for a
     missing file.
     """
-    pixels = _pixels(target, size, what, raw=values is not None)
+    pixels = as_pixels(target, what, values is not None, size)
     return _canonical(pixels, what, None, hidden, behind, values)
 
 
-def as_pixels(image: object, what: str, raw: bool = False) -> Pixels:
-    """Array (H, W) or (H, W, C) of one image, with the values that it has; perhaps the image.
+def as_pixels(image: object, what: str, raw: bool = False, size: Size | None = None) -> Pixels:
+    """Array (H, W, C) of one image, with the values that it has; perhaps the image.
 
     what: its name in errors.  raw: whether any numbers will do, those of a file as it has them.
+    size: required size (H, W); None: any.
     Raises ImageError for types and axes that no image has, `ImageNotFoundError`.
     """
     array, is_tensor = _to_array(image, what, raw)
     check_axes(array, what)
-    return array if array.ndim == 2 else channels_last(array, 0, is_tensor, None, what)
+    pixels: Pixels = channels_last(array, 0, is_tensor, size, what)
+    return pixels
 
 
 def alpha_of(image: object, what: str = "the target") -> Float32:
@@ -109,7 +111,7 @@ def alpha_of(image: object, what: str = "the target") -> Float32:
 
     what: its name in errors.  Raises ImageError if it has none.
     """
-    array = _pixels(image, None, what)
+    array = as_pixels(image, what)
     if array.shape[-1] != 4:
         raise ImageError(f"{what} must have an alpha channel, (H, W, 4), got {describe(array)}")
     alpha: Float32 = np.array(unit_range(shares(array[..., 3]), what, None), np.float32, order="C")
@@ -201,14 +203,6 @@ def save(path: str | os.PathLike[str], image: Float32) -> None:
 # -- steps: to an array, channels last, unit range, three channels ---------------------------------
 
 
-def _pixels(image: object, size: Size | None, what: str, *, raw: bool = False) -> Pixels:
-    """Pixels (H, W, C) of one image, with the values that it has."""
-    array, is_tensor = _to_array(image, what, raw)
-    check_axes(array, what)
-    pixels: Pixels = channels_last(array, 0, is_tensor, size, what)
-    return pixels
-
-
 def _list_as_batch(
     images: Sequence[object],
     size: Size | None,
@@ -225,7 +219,7 @@ def _list_as_batch(
                 f"and call withdraw(X[{i} : {i + 1}]), so that nobody waits for it"
             )
         what = f"image {i}"
-        pixels = _pixels(image, size, what, raw=values is not None)
+        pixels = as_pixels(image, what, values is not None, size)
         rgb = _canonical(pixels, what, clipped.append, hidden, values=values)
         if size is None:
             size = (rgb.shape[0], rgb.shape[1])

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from fide_plugins.errors import ImageError
-from fide_plugins.runtime.messages import warn_user
 from fide_plugins.runtime.schema import array, check, real, row
 from fide_plugins.types import Float32, Float64, Mask
 from fide_plugins.validation.images import alpha_of, as_batch, as_pixels, as_target, is_image
@@ -45,7 +44,6 @@ ALPHA = "alpha"
 """In place of a mask: the alpha channel of the target."""
 DIGITS = 5e-7  # by which values in [0, 1] may differ in single precision
 _SHADES = 8  # steps of a channel of the color that hidden pixels get
-_LEAST_USED = 0.01  # of a range of values
 _LEVELS = (255.0, 65535.0)  # of 8 and 16 bits
 _FEWEST = 100  # whole values of a range that are steps, and not just few values
 
@@ -60,7 +58,7 @@ def is_list_of_images(value: object) -> bool:
 
 
 def _opened(target: object, raw: bool = False) -> list[Pixels]:
-    """Arrays (H, W) or (H, W, C) of a picture or a list of them, with the values they have."""
+    """Arrays (H, W, C) of a picture or a list of them, with the values they have."""
     if not is_list_of_images(target):
         return [as_pixels(target, "the target", raw)]
     assert isinstance(target, list | tuple)
@@ -292,22 +290,14 @@ class Views:
             given.append(joined(first, second, f"mask times weights{of}"))
         hidden = [_hidden_by(one) for one in given]
         if values == AUTO:
-            values = range_of(zip(map(np.atleast_3d, pictures), hidden, strict=True))
+            values = range_of(zip(pictures, hidden, strict=True))
         assert not isinstance(values, str)
         views = []
         for i, pixels in enumerate(pictures):
             what = f"the target of view {i}" if listed else "the target"
             picture = as_target(pixels, what=what, hidden=hidden[i], values=values)
             views.append(View(picture, given[i]))
-        made = cls(views, listed=listed, values=values)
-        if values is not None and value_range is not values:  # given by a user
-            span = max(v.filled.max() for v in made.views) - min(v.filled.min() for v in made.views)
-            if 0 < span < _LEAST_USED:  # 8 bits would not show it
-                warn_user(
-                    f"the target takes up {span:.2g} of value_range {values}: is it on the scale "
-                    "of the renders?"
-                )
-        return made
+        return cls(views, listed=listed, values=values)
 
     def retargeted(self, target: object) -> Views:
         """The same views, weights and range of values, for the next picture, or list of pictures.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from fide_plugins.watch.live import LiveFile
 from fide_plugins.watch.server import Server, serve
 
-__all__ = ["LiveFile", "Server", "serve"]
+__all__ = ["Server", "serve"]

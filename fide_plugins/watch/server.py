@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import os
-import shlex
 import sys
 import threading
 from functools import partial
@@ -19,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 from fide_plugins.errors import OptionError
-from fide_plugins.recording.storage import RunDirectoryError
 from fide_plugins.watch.snapshot import PICTURES, RunFiles
 
 __all__ = ["Server", "serve"]
@@ -80,18 +78,11 @@ def serve(directory: str | os.PathLike[str], port: int = 0) -> tuple[Server, str
     directory: need not be there yet.  port: 0 for any that is free.
     The thread ends with the process, or with `server.close()`.
 
-    Raises OptionError (a ValueError) for what is a file or no port, RunDirectoryError (a
-    FileExistsError) for the directory of a comparison, OSError if the port is in use.
+    Raises OptionError (a ValueError) for what is a file or no port, OSError if the port is in use.
     """
     path = Path(directory)
     if path.exists() and not path.is_dir():
         raise OptionError(f"{os.fspath(directory)!r} is no directory; name that of a run")
-    if (path / "study.json").exists():
-        run = next(path.glob("cells/*/*/*/seed-*"), path / "cells/TASK/LOSS/OPTIMIZER/seed-0")
-        raise RunDirectoryError(
-            f"{path} holds a comparison, and the page is of one run: name that, such as {run}; of "
-            f"all of them there is a report: fide report {shlex.quote(str(path))}"
-        )
     if not 0 <= port <= 65535:
         raise OptionError(f"a port is a number from 0 to 65535, not {port}")
     server = Server(directory, port)

@@ -5,100 +5,78 @@ from __future__ import annotations
 import csv
 import io
 import json
-import math
 import os
 import struct
-import threading
 import time
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from fide_plugins.recording.directory import LIVE
+from fide_plugins.recording.directory import is_under_way
+from fide_plugins.recording.parameters import rows
+from fide_plugins.recording.storage import CHECKPOINT, read_record
 from fide_plugins.renderers.naming import flat
 from fide_plugins.runtime.files import MOST_BYTES, read_regular
+from fide_plugins.space import Space
 from fide_plugins.validation.pixels import MAX_PIXELS
 
 __all__ = ["PICTURES", "RunFiles"]
 
-PICTURES = ("target.png", "best.png", "difference.png")
+PICTURES = ("target.png", "best.png")
 _PNG = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
 _SIZE = struct.Struct(">II")
 _MOST_OF_JSON = 2**24
 _MOST_POINTS = 1000
-_MOST_SHOWN = 2048  # pixels a side of the difference; larger pictures are reduced
 _QUIET = 30.0  # seconds without a new file before a run may be said to have stopped
-_WRITTEN = ("run.json", "run.ckpt", "curve.csv", LIVE)
-_KNOWN: dict[str, tuple[type, ...]] = {  # of live.json, what may have which type
-    **dict.fromkeys(("evaluations", "budget", "workers", "busy", "failures"), (int,)),
-    **dict.fromkeys(("seconds", "best_loss"), (int, float)),
-    "sentence": (str,),
-}
+_WRITTEN = ("run.json", CHECKPOINT, "curve.csv")
 
 
 class RunFiles:
-    """Files of one run directory, by a fixed list of names.
-
-    Results are kept until the files change; they are computed one at a time, whoever asks.
-    """
+    """Files of one run directory, by a fixed list of names."""
 
     def __init__(self, directory: str | os.PathLike[str]) -> None:
         self.path = Path(directory)
-        self._kept: dict[str, tuple[Any, Any]] = {}
-        self._computing = threading.Lock()
+        self._kept: dict[str, tuple[Any, dict[str, Any]]] = {}  # by name: its mark, what it says
 
     def picture(self, name: str) -> bytes | None:
         """PNG of that name in `PICTURES`; None if there is none."""
-        if name == "difference.png":
-            marks = tuple(self._mark(one) for one in PICTURES[:2])
-            made: bytes | None = self._once(name, marks, self._difference)
-            return made
         data = self._read(name)
         return data if data is not None and _is_picture(data) else None
 
     def state(self) -> dict[str, Any]:
         """Everything the page shows, as JSON has it; what is not known is absent."""
         run = self._json("run.json")
-        settings = run.get("settings")
-        settings = settings if isinstance(settings, dict) else {}
+        settings, limits, totals = (
+            one if isinstance(one := run.get(name), dict) else {}
+            for name in ("settings", "limits", "totals")
+        )
         shown: dict[str, Any] = {
             "state": _text(run.get("state", "not begun")),
             "task": _text(settings.get("task", self.path.name)),
             "optimizer": _text(settings.get("optimizer", "")),
             "loss": _text(settings.get("loss", "loss")),
-            "pictures": {name: self._version(name) for name in PICTURES if self._version(name)},
+            "pictures": {name: str(mark[0]) for name in PICTURES if (mark := self._mark(name))},
+            "improvements": [],
+            "parameters": [],
         }
-        totals = run.get("totals")
-        under_way = shown["state"] == "running"  # then totals are those of an earlier call
-        if isinstance(totals, dict) and not under_way:
+        budget = limits.get("budget", settings.get("budget"))
+        if type(budget) is int and 0 < budget < 2**53:
+            shown["budget"] = budget
+        shown |= self._once("curve.csv", lambda: _curve_of(self._read("curve.csv") or b""))
+        shown |= self._once(CHECKPOINT, lambda: self._checkpoint(settings))
+        if shown["state"] != "running":  # else totals are those of an earlier call
             shown["sentence"] = _text(totals.get("sentence", ""))
-        live = self._json(LIVE)
-        curve = self._once("curve.csv", self._mark("curve.csv"), self._curve) or {}
-        newest = max(curve, live, key=lambda one: _whole(one.get("evaluations")))
-        shown |= _checked(curve) | _checked(live) | _checked(newest)
-        points = curve.get("improvements", [])
-        newest_point = [shown.get("evaluations"), shown.get("best_loss")]
-        if None not in newest_point and (not points or newest_point[1] != points[-1][1]):
-            points = [*points, newest_point]
-        step = 1 + len(points) // _MOST_POINTS
-        shown["improvements"] = [*points[:-1:step], *points[-1:]]
-        shown["parameters"] = _rows(live.get("parameters"))
-        if not shown["parameters"] and not under_way:
-            shown["parameters"] = _rows(_found(totals))
-        if shown["state"] == "running" and self._has_stopped():
+            shown["parameters"] = shown["parameters"] or _found(totals)
+        elif self._has_stopped():
             shown["state"] = "stopped without an end; continue with --resume"
-        if shown["state"] != "running":
-            shown.pop("busy", None)
         return shown
 
     def _has_stopped(self) -> bool:
         """Whether the process of a run was killed: its lock is free, and nothing is written."""
-        from fide_plugins.recording.directory import is_under_way
-
         marks = (self._mark(name) for name in _WRITTEN)
         newest = max((mark[0] for mark in marks if mark), default=0) / 1e9
         return time.time() - newest > _QUIET and is_under_way(self.path) is False
-
-    # -- files -------------------------------------------------------------------------------------
 
     def _read(self, name: str, most: int = MOST_BYTES) -> bytes | None:
         try:
@@ -113,16 +91,12 @@ class RunFiles:
             return None
         return about.st_mtime_ns, about.st_size
 
-    def _version(self, name: str) -> str:
-        names = PICTURES[:2] if name == "difference.png" else (name,)
-        marks = [self._mark(one) for one in names]
-        return "" if None in marks else "-".join(str(mark[0]) for mark in marks if mark)
-
-    def _once(self, name: str, mark: Any, make: Any) -> Any:
-        with self._computing:
-            if name not in self._kept or self._kept[name][0] != mark:
-                self._kept[name] = (mark, make())
-            return self._kept[name][1]
+    def _once(self, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+        """What a file says, read again when it has changed."""
+        mark = self._mark(name)
+        if name not in self._kept or self._kept[name][0] != mark:
+            self._kept[name] = mark, make()
+        return self._kept[name][1]
 
     def _json(self, name: str) -> dict[str, Any]:
         try:
@@ -131,43 +105,37 @@ class RunFiles:
             return {}
         return found if isinstance(found, dict) else {}
 
-    # -- what they say -----------------------------------------------------------------------------
-
-    def _difference(self) -> bytes | None:
-        """Absolute difference of target and best image, four times as strong, for a screen."""
-        from PIL import Image, ImageChops
-
-        data = (self.picture(name) or b"" for name in PICTURES[:2])
-        buffer = io.BytesIO()
+    def _checkpoint(self, settings: dict[str, Any]) -> dict[str, Any]:
+        """Parameters of the best candidate, and how many renders have failed."""
         try:
-            pair = [Image.open(io.BytesIO(each), formats=["PNG"]) for each in data]
-            if pair[0].size != pair[1].size or math.prod(pair[0].size) > MAX_PIXELS:
-                return None  # nothing is decoded yet
-            for image in pair:
-                image.thumbnail((_MOST_SHOWN, _MOST_SHOWN))
-            made = ImageChops.difference(*(image.convert("RGB") for image in pair))
-            made.point([min(4 * value, 255) for value in range(256)] * 3).save(buffer, "PNG")
-        except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
-            return None
-        return buffer.getvalue()
+            if (self.path / CHECKPOINT).is_symlink():
+                return {}
+            record, _ = read_record(self.path, int(settings["dim"]), settings["size"])
+            space = None if settings.get("space") is None else Space.from_dict(settings["space"])
+            best = record.best
+            table = [] if best is None else rows([replace(best, space=space)])
+        except Exception:  # whatever a damaged file causes
+            return {}
+        parameters = [[row.name, row.values[0], row.unit] for row in table[:_MOST_POINTS]]
+        return {"parameters": parameters, "failures": record.failures}
 
-    def _curve(self) -> dict[str, Any]:
-        data = io.BytesIO(self._read("curve.csv") or b"")
-        lines = csv.DictReader(io.TextIOWrapper(data, "utf-8", "replace", newline=""))
-        improvements: list[list[float]] = []
-        number, seconds = 0, 0.0
-        try:
-            for number, row in enumerate(lines, 1):
-                best, seconds = float(row["best_loss"]), float(row["seconds"])
-                if math.isfinite(best) and (not improvements or best < improvements[-1][1]):
-                    improvements.append([number, best])
-        except (KeyError, TypeError, ValueError, csv.Error):
-            return {}
-        if not improvements or not math.isfinite(seconds):
-            return {}
-        best = improvements[-1][1]
-        known = {"evaluations": number, "best_loss": best, "seconds": seconds}
-        return {**known, "improvements": improvements}
+
+def _curve_of(data: bytes) -> dict[str, Any]:
+    lines = csv.DictReader(io.TextIOWrapper(io.BytesIO(data), "utf-8", "replace", newline=""))
+    points: list[list[float]] = []
+    number, seconds = 0, 0.0
+    try:
+        for number, row in enumerate(lines, 1):
+            best, seconds = float(row["best_loss"]), float(row["seconds"])
+            if abs(best) < 2**53 and (not points or best < points[-1][1]):
+                points.append([number, best])
+    except (KeyError, TypeError, ValueError, csv.Error):
+        return {}
+    if not points or not seconds < 2**53:
+        return {}
+    step = 1 + len(points) // _MOST_POINTS
+    known = {"evaluations": number, "best_loss": points[-1][1], "seconds": seconds}
+    return {**known, "improvements": [*points[:-1:step], points[-1]]}
 
 
 def _is_picture(data: bytes) -> bool:
@@ -182,28 +150,12 @@ def _text(value: Any) -> str:
     return str(value)[:300]
 
 
-def _whole(value: Any) -> int:
-    return value if isinstance(value, int) else -1
-
-
-def _checked(live: dict[str, Any]) -> dict[str, Any]:
-    """Entries of `live.json` that have the right type, and are numbers that a page can show."""
-    right = {k: live[k] for k, types in _KNOWN.items() if type(live.get(k)) in types}
-    return {k: v for k, v in right.items() if isinstance(v, str) or abs(v) < 2**53}
-
-
-def _found(totals: Any) -> list[list[Any]]:
+def _found(totals: dict[str, Any]) -> list[list[str]]:
     """Parameters that a run which has ended has found."""
-    params = totals.get("params") if isinstance(totals, dict) else None
+    params = totals.get("params")
     try:
         pairs = flat(params) if isinstance(params, dict) else []
     except RecursionError:
         return []
-    return [[k, f"{v:.5g}" if isinstance(v, float) else v, ""] for k, v in pairs]
-
-
-def _rows(value: Any) -> list[list[str]]:
-    if not isinstance(value, list):
-        return []
-    rows = [row for row in value if isinstance(row, list) and len(row) == 3]
-    return [[_text(cell) for cell in row] for row in rows[:_MOST_POINTS]]
+    shown = [(k, f"{v:.5g}" if isinstance(v, float) else v) for k, v in pairs[:_MOST_POINTS]]
+    return [[_text(k), _text(v), ""] for k, v in shown]

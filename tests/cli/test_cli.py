@@ -81,37 +81,18 @@ def test_the_help_names_every_preset(capsys: pytest.CaptureFixture[str]) -> None
     ("words", "message"),
     [
         (["run", "nothing"], "no task is named 'nothing'; the tasks: .*spline, .*voronoi"),
-        (["run", "voronoi", "--optimizer", "cmaa"], "unknown optimizer 'cmaa'.*did you mean 'cma'"),
-        (["run", "voronoi", *SMALL, "--loss", "l3"], "unknown loss 'l3': known are .*mse"),
-        (
-            ["run", "voronoi", *SMALL, "--set", "epochs=3"],
-            "no option 'epochs'; its options: device",
-        ),
-        (["run", "voronoi", *SMALL, "--set", "popsize=two"], "popsize must be .* not 'two'"),
         (["run", "voronoi", *SMALL, "--set", "popsize"], "key=value, not 'popsize'"),
-        (
-            ["run", "voronoi", *SMALL, "--set", "groups=[[0,1],[2,3"],
-            r"'groups=\[\[0,1\],\[2,3': a value in brackets is a list such as \[\[0,1\],\[2,3\]\]",
-        ),
         (["run", "voronoi", *SMALL, "--set", "seed=1"], "seed is an argument of the run"),
-        (["run", "voronoi", *SMALL, "--task-set", "colour=1"], "voronoi has no option 'colour'"),
         (["run", "voronoi", *SMALL, "--budget", "0"], "--budget: a whole number >= 1, not '0'"),
-        (["run", "voronoi", *SMALL, "--seed", "-1"], "a whole number >= 0, not '-1'"),
         (["run", "voronoi", *SMALL, "--out", ""], "--out: a path, not an empty text"),
-        (["run", "voronoi", *SMALL, "--out", "/proc/nowhere"], "cannot write to the folder"),
         (
             ["run", "voronoi", "--size", "99999999"],
             "not enough memory .*PiB.*; use smaller images",
         ),
-        (["run", "voronoi", "--seed"], "expected one argument"),
         (["run"], "name a TASK, or give --command"),
-        (["fit", "none.png", "--model", "voronoi"], "none.png"),
         (["fit", "none.png"], "--renderer --command --model is required"),
-        (["fit", "none.png", "--model", "ellipses"], "invalid choice: 'ellipses'"),
         (["fit", "a.png", "--model", "spline", "--cells", "3"], "--cells belongs to --model voron"),
-        (["list", "everything"], "invalid choice: 'everything'"),
         (["dance"], "invalid choice: 'dance'"),
-        (["learn", "voronoi", "--out", " "], "--out: a path, not an empty text"),
         (["mcp", "now"], "unrecognized arguments: now"),
     ],
 )
@@ -120,8 +101,6 @@ def test_wrong_usage_is_one_line_and_exit_code_2(
 ) -> None:
     assert main(words) == 2
     line = one_line(capsys)
-    import re
-
     assert re.search(message, line), line
     assert not Path("runs").exists()
 
@@ -184,7 +163,7 @@ def test_doctor(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.thorough
-def test_doctor_is_short_and_imports_no_framework() -> None:
+def test_doctor_imports_no_framework() -> None:
     script = (
         "import sys; from fide_plugins.cli import main; code = main(['doctor']);"
         "print(*sorted({'mitsuba', 'mujoco', 'optuna', 'nevergrad'} & set(sys.modules)));"
@@ -194,9 +173,8 @@ def test_doctor_is_short_and_imports_no_framework() -> None:
         [sys.executable, "-c", script], capture_output=True, text=True, check=True
     )
     *lines, heavy = done.stdout.splitlines()
-    assert len(lines) <= 9 and heavy == ""
-    assert lines[0].startswith("fide-plugins ") and "--verbose" in lines[-1]
-    assert any(line.startswith("encoders: dense, ") for line in lines)
+    assert heavy == "" and "--verbose" in lines[-1]
+    assert "tasks" not in lines and any(re.match("  dense +ok", line) for line in lines)
 
 
 # -- interruption ----------------------------------------------------------------------------------

@@ -62,25 +62,12 @@ def test_compare_runs_everything_and_makes_the_report(capsys: pytest.CaptureFixt
     ("words", "message"),
     [
         (["compare", "vornoi", *SMALL], "no task is named 'vornoi'; the tasks: .*voronoi"),
-        (["compare", "voronoi", *SMALL, "--optimizers", "cmaa"], "did you mean 'cma'"),
-        (["compare", "voronoi", *SMALL, "--set", "epochs=1"], "cma has no option 'epochs'"),
         (["compare", "voronoi", *SMALL, "--optimizers", "a,,b"], "names separated by commas"),
-        (["compare", "voronoi", *SMALL, "--threshold", "mse"], "LOSS=VALUE"),
         (
             ["compare", "voronoi", *SMALL, "--threshold", "mze=1"],
             "a threshold is given for 'mze', which is not compared; choose from mse, voronoi/mse",
         ),
-        (
-            ["compare", "voronoi", *SMALL, "--optimizers", "cma:dim=3"],
-            "dim is a setting of the comparison, not of one optimizer",
-        ),
         (["compare", "voronoi", *SMALL, "--jobs", "1000"], "at most one process per core"),
-        (["compare", "voronoi", *SMALL, "--jobs", "2", "--dask", "tcp://x"], "not allowed with"),
-        (
-            ["compare", "voronoi", *SMALL, "--scenes", "lamps"],
-            "--scenes is of a suite; add --suite",
-        ),
-        (["compare", "voronoi", *SMALL, "--target", "p.png"], "--target is for a renderer of your"),
         (["report", "nothing"], "nothing holds no comparison; make one"),
     ],
 )

@@ -143,7 +143,7 @@ def test_a_picture_is_reduced_to_the_renderers_size(capsys: pytest.CaptureFixtur
     words = ["--renderer", "scene.py:render", "--workers", 0, "--budget", 5]
     assert fide("fit", "large.png", *words) == 2
     err = capsys.readouterr().err
-    assert "large.png has 160 x 120 pixels, and the renderer's image has 16 x 12" in err
+    assert "the first render gave no image that fits" in err and "(12, 16" in err
     assert not Path("runs").exists()
     assert fide("fit", "large.png", *words, "--size", 16) == 0
 
@@ -188,7 +188,6 @@ def test_live_shows_the_fit_while_it_goes_on(
     (page,) = seen
     assert page["state"] == "running" and page["url"] in captured.err
     assert json.loads(captured.out)["evaluations"] == 20
-    assert Path("out/live.json").exists() == ("--renderer" in what)
     with pytest.raises(OSError, match="refused"):
         urllib.request.urlopen(page["url"], timeout=20)
 
@@ -202,26 +201,14 @@ RENDERER = ["target.png", "--renderer"]
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ([*RENDERER, "scene.py"], "no renderer 'scene.py'.*; it has render"),
-        ([*RENDERER, "scene.py:rendr"], "'rendr' in .*scene.py must be .*it has render"),
         ([*RENDERER, "broken.py:render"], "(?s)cannot be imported.*line 1.*ZeroDivisionError"),
         (["no.png", *RENDERER[1:], "scene.py:render"], "no image file at 'no.png'"),
         (
             [*RENDERER, "scene.py:render", "--optimizer", "cma"],
             "--optimizer has no meaning",
         ),
-        ([*RENDERER, "scene.py:render", "--cells", "3"], "--cells has no meaning with --renderer"),
         ([*RENDERER, "scene.py:render", "--time", "soon"], "time must be .* '10m'.*not 'soon'"),
-        (
-            [*RENDERER, "scene.py:render", "--preset", "best"],
-            "preset.*'best'",
-        ),
         ([*COMMAND, "ls {out} {gray} {rows}"], "--command needs --space FILE.toml"),
-        ([*COMMAND, "ls {out} {gray}", "--space", "space.toml"], "'rows' of the space is nowhere"),
-        ([*COMMAND, "ls {out} {gry}", "--space", "space.toml"], "{gry} .*did you mean {gray}"),
-        ([*COMMAND, "ls {gray} {rows}", "--space", "space.toml"], "has no {out}"),
-        ([*COMMAND, "nope {out}", "--space", "space.toml"], "no program 'nope' that may be"),
-        ([*COMMAND, "ls {out} {gray}", "--space", "."], "--space: '.' is a folder; name the TOML"),
         ([*COMMAND, "ls {out}", "--space", "typo.toml"], "typo.toml: .gray. hihg: unknown key"),
         (
             [*COMMAND, "a {out}", "--command", "b {out}", "--space", "space.toml"],
@@ -231,7 +218,6 @@ RENDERER = ["target.png", "--renderer"]
             ["target.png", "--model", "voronoi", "--time", "5m"],
             "--time has no meaning",
         ),
-        (["target.png", "target.png", "--model", "voronoi"], "--model draws one picture, not 2"),
     ],
 )
 @pytest.mark.usefixtures("program")
@@ -306,6 +292,7 @@ def ring(target: Path) -> None:
 
 
 @pytest.mark.parametrize("constraint", ['wall = "inner < 0.6 * outer"', ""])
+@pytest.mark.filterwarnings("always:a render failed")
 @pytest.mark.usefixtures("ring")
 def test_a_space_with_invalid_parameters_is_fitted(
     constraint: str, capsys: pytest.CaptureFixture[str]
@@ -326,7 +313,6 @@ def test_a_space_with_invalid_parameters_is_fitted(
         ("inner > 2", [], 2, r"no valid point was found.*wall \(inner > 2\)"),
         ("inner < 0.6 * outer", ["--set", "x0=[1,0]"], 2, "x0 is not valid: it violates wall"),
         ("inner < 1", ["--max-failures", 2], 2, "max_failures"),
-        ("outer < 0.06", [], 1, "the first render failed, and so did those of 24 random places"),
     ],
 )
 @pytest.mark.usefixtures("ring")

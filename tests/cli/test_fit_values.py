@@ -80,8 +80,8 @@ def test_what_is_hidden_does_not_leak_into_a_smaller_picture(scene: Any) -> None
         Image.fromarray(mask).save("m.png")
         for options in (("m.png", None), (None, "m.png"), ("m.png", "m.png")):
             given = [None if one is None else [one] for one in options]
-            read = pictures(["t.tif"], 16, *given)
-            opt = FIDE(2, read.targets[0], mask=read.mask, weights=read.weights)
+            (target,), (weights,) = pictures(["t.tif"], 16, *given)
+            opt = FIDE(2, target, weights=weights)
             assert opt.tell(opt.ask(1), [small])[0] < 1e-12
             hidden = opt.weights == 0
             assert hidden[:2, :2].all() and hidden.sum() == 4

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -23,20 +24,25 @@ from .conftest import fide, last_line, summary
 pytestmark = pytest.mark.figures
 
 
+def returning(images: Any) -> Callable[[Any], Any]:
+    """A renderer that always returns these."""
+    return lambda x: images
+
+
 def test_views_need_one_image_each() -> None:
     target = np.zeros((8, 8, 3), np.float32)
     both = [target, target]
     optimizer = FIDE(2, both)
-    with pytest.raises(ImageError, match="must return a list of 2 images, one for each view"):
-        Renders(lambda x: target, 0, None).check_first(optimizer, both, ["a", "b"])
-    with pytest.raises(ImageError, match="a list of 2 images, .* not 3 images"):
-        Renders(lambda x: [*both, target], 0, None).check_first(optimizer, both, ["a", "b"])
-    with pytest.raises(ImageError, match="render returned None for view 1; let it return"):
-        Renders(lambda x: [target, None], 0, None).check_first(optimizer, both, ["a", "b"])
-    Renders(lambda x: both, 0, None).check_first(optimizer, both, ["a", "b"])
-    Renders(lambda x: tuple(both), 0, None).check_first(optimizer, both, ["a", "b"])
-    with pytest.raises(ImageError, match="b has 8 x 8 pixels, and .* image has 8 x 4"):
-        Renders(lambda x: [target, target[:4]], 0, None).check_first(optimizer, both, ["a", "b"])
+    for images, message in (
+        (target, "must return a list of 2 images, one for each view"),
+        ([*both, target], "a list of 2 images, .* not 3 images"),
+        ([target, None], "render returned None for view 1; let it return"),
+        ([target, target[:4]], "the first render gave no image that fits: .*4"),
+    ):
+        with pytest.raises(ImageError, match=message):
+            Renders(returning(images), 0, None).check_first(optimizer)
+    Renders(returning(both), 0, None).check_first(optimizer)
+    Renders(returning(tuple(both)), 0, None).check_first(optimizer)
 
 
 @pytest.fixture
@@ -82,7 +88,7 @@ def test_the_alpha_of_the_target_and_weights_are_masks_too(
     assert losses == pytest.approx(losses[:1] * 3, rel=1e-6)
     assert fide("fit", "target.png", *words, "--mask", "alpha") == 2
     line = last_line(capsys)
-    assert "target.png must have an alpha channel" in line and "give a picture, --mask FILE" in line
+    assert "must have an alpha channel" in line
 
 
 @pytest.fixture
@@ -137,9 +143,8 @@ def test_a_tuple_of_overexposed_views_is_fitted_and_its_solutions_are_kept(
 def test_targets_and_masks_must_fit_the_views(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--renderer", "views.py:render", "--workers", 0]
     assert fide("fit", "small.png", "target.png", *words) == 2
-    assert "small.png has 8 x 6 pixels, and the renderer's image has 16 x 12" in last_line(capsys)
+    assert "the first render gave no image that fits" in last_line(capsys)
     assert fide("fit", "target.png", "small.png", *words, "--mask", "mask.png") == 2
-    assert "1 of --mask for 2 targets of different sizes; give --mask once" in last_line(capsys)
-    masks = ["--mask", "mask.png"] * 3
-    assert fide("fit", "target.png", "target.png", *words, *masks) == 2
-    assert "3 of --mask for 2 targets; give --mask once for each" in last_line(capsys)
+    assert "a single one, which needs views of one size" in last_line(capsys)
+    assert fide("fit", "target.png", "target.png", *words, *["--mask", "mask.png"] * 3) == 2
+    assert "one entry for each of the 2 views" in last_line(capsys)

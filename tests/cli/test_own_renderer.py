@@ -108,14 +108,9 @@ def test_run_takes_a_program(capsys: pytest.CaptureFixture[str]) -> None:
     ("words", "message"),
     [
         (["run"], "name a TASK, or give --command"),
-        (["compare", "--out", "out"], "name a TASK, or give --command or --suite"),
         (["run", "voronoi", "--command", "ls {out}"], "a TASK or --command, not both"),
         (["run", "voronoi", "--timeout", "3"], "--timeout is of --command; leave it out"),
         (["run", "--command", COMMAND], r"needs a space \(--space FILE.toml\)"),
-        (["run", "--command", "", "--space", "space.toml"], "the command is empty"),
-        (["run", "--command", "ls {out} {y}", "--space", "space.toml"], "{y} in the command is no"),
-        (["compare", "--command", "lsx {out}", "--space", "space.toml", "--out", "out"],
-         "{x} where the program expects it|no program 'lsx'"),
     ],
 )  # fmt: skip
 @pytest.mark.usefixtures("program")

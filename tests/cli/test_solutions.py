@@ -145,7 +145,7 @@ def test_a_run_with_an_encoder_of_one_s_own(
     first, *_ = json.loads(capsys.readouterr().out)
     assert result.best is not None and first["loss"] == result.best.loss
     assert first["params"] == result.params
-    for other, message in {"others": "encoder", "block": "did you mean 'blocks'?"}.items():
+    for other, message in {"others": "encoder", "block": "it has blocks"}.items():
         assert fide("solutions", "own", "--encoder", f"features.py:{other}") == 2
         assert message in one_line(capsys)
 
@@ -198,7 +198,7 @@ def test_json_is_one_object(capsys: pytest.CaptureFixture[str]) -> None:
     (line,) = capsys.readouterr().out.splitlines()
     found = json.loads(line)
     assert found["picture"] == "seen/check.png" and Path("seen/check.png").is_file()
-    assert found["sizes"] == [[[12, 16, 1]]] and found["deterministic"] is True
+    assert found["shapes"] == [[[12, 16, 1]]] and found["noise"] == 0
     assert [one["name"] for one in found["parameters"]] == ["x", "gray", "rows", "shape"]
     assert found["parameters"][0]["values"] == ["-1", "0", "1"]
     (failure,) = found["failures"]

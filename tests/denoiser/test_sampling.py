@@ -66,22 +66,3 @@ def test_whitened_without_network_is_the_exact_denoiser_of_a_gaussian() -> None:
     denoise = whitened(lambda z, s: torch.zeros_like(z), MEAN, VARIANCE.sqrt())
     z, s = start(), STD.expand(7, 3)
     torch.testing.assert_close(denoise(z, s), gaussian(z, s))
-
-
-def test_whitened_network_sees_and_should_give_unit_variance() -> None:
-    """Its input, and the output that would make the estimate exact, at three noise levels."""
-    g = torch.Generator().manual_seed(2)
-    x = MEAN + VARIANCE.sqrt() * torch.randn(20_000, 3, generator=g).double()
-    for t in (0.1, 1.0, 10.0):
-        s = (t * STD).expand_as(x)
-        z = x + s * torch.randn(x.shape, generator=g)
-        inputs: list[Tensor] = []
-
-        def spy(u: Tensor, r: Tensor, inputs: list[Tensor] = inputs) -> Tensor:
-            inputs.append(u)
-            return torch.zeros_like(u)
-
-        base = whitened(spy, MEAN, VARIANCE.sqrt())(z, s)
-        gain = whitened(lambda u, r: torch.ones_like(u), MEAN, VARIANCE.sqrt())(z, s) - base
-        np.testing.assert_allclose(inputs[0].var(0), np.ones(3), rtol=0.05)
-        np.testing.assert_allclose(((x - base) / gain).var(0), np.ones(3), rtol=0.05)

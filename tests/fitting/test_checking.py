@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from dataclasses import replace
 from typing import Any
@@ -12,7 +11,7 @@ import numpy as np
 import pytest
 
 from fide_plugins import Choice, Float, Group, Int, Space
-from fide_plugins.fitting.checking import Difference, Facts, advice, as_data, check, lines, sweeps
+from fide_plugins.fitting.checking import Facts, advice, as_data, check, lines, sweeps
 
 # Workers get the functions of this file: away from the repository they cannot import it.
 cloudpickle.register_pickle_by_value(sys.modules[__name__])
@@ -29,7 +28,7 @@ def grid() -> tuple[Any, Any]:
 def test_values_of_each_kind_of_parameter() -> None:
     space = Space(
         x=Float(-1, 3, unit="m"), gain=Float(0.01, 1, log=True), few=Int(2, 4), many=Int(0, 100),
-        wide=Int(1, 10_000, log=True), turns=Float(0, 1, step=0.25), two=Choice("a", "b"),
+        turns=Float(0, 1, step=0.25), two=Choice("a", "b"),
         letters=Choice(*"abcdefgh"), one=Choice("only"), dots=2 * Group(y=Float(0, 1)),
     )  # fmt: skip
     center = np.full(space.dim, 0.5)
@@ -39,7 +38,6 @@ def test_values_of_each_kind_of_parameter() -> None:
         "gain": ["0.01", "0.1", "1"],
         "few": ["2", "3", "4"],
         "many": ["0", "25", "50", "75", "100"],
-        "wide": ["1", "10", "100", "1000", "10000"],
         "turns": ["0", "0.25", "0.5", "0.75", "1"],
         "two": ["a", "b"],
         "letters": ["a", "c", "e", "f", "h"],
@@ -54,20 +52,10 @@ def test_values_of_each_kind_of_parameter() -> None:
     np.testing.assert_array_equal(first.X, [[0, 0.5], [0.5, 0.5], [1, 0.5]])
 
 
-def test_other_values_are_never_the_same_one() -> None:
-    space = Space(angle=Float(0, 360, periodic=True), n=Int(1, 3))
-    angle, n = sweeps(space, np.full(2, 0.5))
-    base = np.array([0.9, 0.5])
-    turned = angle.elsewhere(base)[:, 0]
-    assert len({0.9, *turned}) == 3 and (turned >= 0).all() and (turned <= 1).all()
-    assert [params["n"] for params in space.decode_many(n.elsewhere(base))] == [1, 2, 3]
-
-
 def test_parameters_that_change_nothing_here_or_anywhere() -> None:
     space = Space(
         x=Float(-1, 1), angle=Float(0, 360), other=Float(0, 360), unread=Float(0, 1),
-        unused=Choice("a", "b", "c"), side=Float(0, 1), faint=Float(0, 1),
-        seam=Float(0, 360, periodic=True), label=Choice("only"),
+        unused=Choice("a", "b", "c"), side=Float(0, 1), label=Choice("only"),
     )  # fmt: skip
 
     def render(p: dict[str, Any]) -> Any:
@@ -75,23 +63,20 @@ def test_parameters_that_change_nothing_here_or_anywhere() -> None:
         line = np.cos(2 * np.radians(p["angle"])) * u + np.sin(2 * np.radians(p["angle"])) * v
         shade = p["side"] if p["x"] > 0.02 else 0.5  # at the center x decides against it
         other = np.sin(np.radians(p["other"])) * v
-        ramp = p["seam"] / 360 * u
-        return 0.4 + 0.1 * (line + other + ramp) * (u < p["x"]) + 0.1 * shade + 1e-4 * p["faint"]
+        return 0.4 + 0.1 * (line + other) * (u < p["x"]) + 0.1 * shade
 
     facts = check(render, space, workers=1)
     assert {one.sweep.name: one.where for one in facts.effects} == {
         "x": "center", "angle": "elsewhere", "other": "elsewhere", "unread": "nowhere",
-        "unused": "nowhere", "side": "elsewhere", "faint": "center", "seam": "center",
+        "unused": "nowhere", "side": "elsewhere",
     }  # fmt: skip
     told = "\n".join(advice(facts))
     for sentence in (
         "unread, unused: changes nothing at any of 4 points",
         "angle, other, side: changes nothing at the center",
-        "faint changes less than a picture of 8 bits",
-        "seam is periodic, but its ends give different images",
     ):
         assert sentence in told
-    assert facts.noise == Difference(0, 0) and not facts.failures
+    assert facts.noise == 0 and not facts.failures
 
 
 def test_things_of_one_kind_do_not_hide_each_other_at_the_center() -> None:
@@ -110,20 +95,6 @@ def test_things_of_one_kind_do_not_hide_each_other_at_the_center() -> None:
     assert isinstance(facts.center, dict) and facts.center["light"] == 0.5 and facts.centered
 
 
-def test_ends_of_an_angle_that_are_alike() -> None:
-    def render(p: dict[str, Any]) -> Any:
-        v, u = grid()
-        ball = np.hypot(u - 0.5 * np.cos(p["turn"]), v - 0.5 * np.sin(p["turn"])) < 0.4
-        return ball * p["gray"] * (1 - abs(p["x"]))
-
-    around = Float(0, 2 * math.pi)
-    space = Space(turn=around, gray=Float(0.5, 1), x=Float(-1, 1))
-    told = [one for one in advice(check(render, space, workers=1)) if "both ends" in one]
-    assert told == [
-        "both ends of turn give one image; if it is an angle, make it periodic"
-    ]  # x is no angle
-
-
 def test_noise_hides_no_parameter_that_changes_nothing() -> None:
     def render(p: dict[str, Any]) -> Any:
         noise = np.random.default_rng().normal(0, 0.02, (24, 32))
@@ -131,9 +102,9 @@ def test_noise_hides_no_parameter_that_changes_nothing() -> None:
 
     facts = check(render, Space(gray=Float(0, 1), unread=Float(0, 1)), workers=1)
     assert [one.where for one in facts.effects] == ["center", "nowhere"]
-    assert facts.noise is not None and 0.025 < facts.noise.rms < 0.032  # sqrt(2) 0.02
+    assert facts.noise is not None and 0.025 < facts.noise < 0.032  # sqrt(2) 0.02
     data = as_data("noisy", facts)
-    assert data["deterministic"] is False
+    assert data["noise"] == facts.noise
     assert "cannot be told from noise" in " ".join(data["advice"])
     assert "--until stalled" in " ".join(data["advice"])
 
@@ -166,8 +137,7 @@ def test_ranges_of_values(scale: float, span: float, text: str) -> None:
     facts = check(render, Space(gray=Float(0, 1)), workers=1)
     assert facts.span == pytest.approx(span)
     change = facts.effects[0].change
-    assert change is not None and change.most == scale
-    assert change.rms == pytest.approx(scale * 0.588, rel=0.01)
+    assert change == pytest.approx(scale * 0.588, rel=0.01)
     told = " ".join(advice(facts))
     assert text in told and ("[0, 1]" in told) == (scale == 10)
     assert "one color everywhere in 1 of" in told  # gray 0

@@ -155,7 +155,7 @@ def test_a_killed_run_is_read_from_its_checkpoint(kept: Result, tmp_path: Path) 
         ("solutions", [{"x": [2.0] * 6}], RunDirectoryError),
         ("solutions", {"x": 3}, RunDirectoryError),
         ("sentence", [], RunDirectoryError),
-        ("facts", {"views": [[3, "a"]]}, RunDirectoryError),
+        ("settings", {"dim": 4, "size": [12, 12], "views": [[3, "a"]]}, RunDirectoryError),
     ],
 )
 def test_damaged_runs_are_refused_by_name(
@@ -165,7 +165,7 @@ def test_damaged_runs_are_refused_by_name(
     shutil.copytree(kept.out, tmp_path / "run")
     if "." not in name:
         run = json.loads((tmp_path / "run/run.json").read_text())
-        (run if name == "facts" else run["totals"])[name] = content
+        (run if name == "settings" else run["totals"])[name] = content
         name, content = "run.json", json.dumps(run)
     if content is None:
         (tmp_path / "run" / name).unlink()
@@ -181,7 +181,7 @@ def test_text_and_page_have_units_and_deviations(kept: Result) -> None:
     page, text = kept._repr_html_(), repr(kept)
     assert f"angle={kept.params['angle']:.1f}"[:8] in text and " ± " in text and " deg" in text
     assert f"kind={kept.params['kind']}" in text and str(kept.status) in text
-    assert "<td>deg</td>" in page and "<b>bar" not in page and page.count("data:image/png") == 4
+    assert "<td>deg</td>" in page and "<b>bar" not in page and page.count("data:image/png") == 3
 
     class Balanced(HTMLParser):
         depth = 0

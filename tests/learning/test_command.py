@@ -77,10 +77,6 @@ def test_a_task_is_learned(capsys: pytest.CaptureFixture[str]) -> None:
         (("voronoi", "--time", "soon"), "time must be a positive number"),
         (("voronoi", "--timeout", "5"), "--timeout is of --command; leave it out"),
         (("gradient.py:render", "--timeout", "5"), "--timeout is of --command; leave it out"),
-        (("voronoi", "--groups", "0,1"), "a list such as [[0,1],[2,3]], or [], not '0,1'"),
-        (("voronoi", "--groups", "[[0,1]"), "a value in brackets is a list such as"),
-        (("voronoi", "--groups", "[0,1]"), "groups must be at least two lists"),
-        (("voronoi", "--groups", "[]", "--emulator"), "an emulator needs exchangeable blocks"),
         (("gradient.py:render", "--render-size", "32"), "--render-size is of built-in tasks"),
     ],
 )

@@ -69,15 +69,6 @@ def test_a_registered_loss_is_saved_by_name(
     assert masked.evaluator.loss.spec == registered
 
 
-def test_a_made_loss_must_be_of_this_target_s_shape(registered: str, target: Float32) -> None:
-    made = losses.make(registered, target)
-    assert losses.resolve(made, target) is made and losses.resolve(made, None) is made
-    with pytest.raises(LossError, match=r"shape \(16, 16, 3\), and the target .* \(8, 16, 3\)"):
-        losses.resolve(made, target[:8])
-    with pytest.raises(LossError, match=f"'{registered}' was made for images of shape"):
-        FIDE(6, target[:8], loss=made)
-
-
 def test_a_loss_may_weigh_pixels_itself(registered: str, target: Float32) -> None:
     class Weighted(MeanSquaredError):
         """An own class that takes weights as `mse` does."""

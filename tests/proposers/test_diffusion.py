@@ -10,8 +10,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from fide_plugins.denoiser import Denoise
-from fide_plugins.denoiser.training import XLoss
 from fide_plugins.errors import OptionError
 from fide_plugins.proposers.diffusion import DiffusionProposer
 from fide_plugins.runtime.devices import BatchSize
@@ -80,21 +78,6 @@ def test_training_that_diverges_is_undone_and_said_once(rate: float) -> None:
     proposed = proposer.propose(x, tokens[0], MEAN, STD)
     np.testing.assert_array_equal(proposed, calm.propose(x, tokens[0], MEAN, STD))
     assert not by_the_sample(proposed, x)
-
-
-class Interrupting:
-    """The published objective, until it has been asked so often."""
-
-    def __init__(self, error: BaseException, after: int) -> None:
-        self.error, self.left = error, after
-
-    def __call__(
-        self, denoise: Denoise, x: Tensor, std: Tensor, generator: torch.Generator
-    ) -> Tensor:
-        self.left -= 1
-        if self.left < 0:
-            raise self.error
-        return XLoss()(denoise, x, std, generator)
 
 
 def state_as_bytes(proposer: DiffusionProposer) -> dict[str, Any]:

@@ -58,13 +58,6 @@ def test_there_are_as_many_as_the_model_promises() -> None:
     assert 0 < left < ALL
 
 
-def test_there_are_none_where_it_promises_too_little() -> None:
-    for least, expected in ((0.9, 0), (0.0, 1)):
-        steps = taught(least_promise=least)
-        steps.after_generation()
-        assert min(1, steps.left(K, UNLIKE, STD)) == expected
-
-
 def test_they_come_once_after_each_generation() -> None:
     steps = taught()
     assert steps.left(K, TARGET, STD) == 0  # none is complete

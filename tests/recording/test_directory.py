@@ -39,7 +39,7 @@ def test_other_files_may_be_there(tmp_path: Path) -> None:
     (tmp_path / "target.png").write_text("mine")
     (tmp_path / "scene.py").write_text("mine")
     directory = RunDirectory(tmp_path, {"budget": 5}, resume=False)
-    directory.begin(None)
+    directory.write_run()
     directory.close()
     assert (tmp_path / "target.png").read_text() == "mine"
     assert (tmp_path / "run.json").exists()

@@ -22,7 +22,7 @@ def drawn(*losses: float) -> Any:
     ("losses", "scale", "best"),
     [
         ((1e-1, np.inf, 1e-6), "log", (1e-1, 1e-1, 1e-6)),
-        ((1e-1, 1e-6, 0.0), "log", (1e-1, 1e-6, 1e-7)),  # 0 below the least that is shown
+        ((1e-1, 1e-6, 0.0), "log", (1e-1, 1e-6, 0.0)),
         ((0.5, -0.5, 1.0), "linear", (0.5, -0.5, -0.5)),
         ((0.0, 0.0, 0.0), "linear", (0.0, 0.0, 0.0)),
     ],

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from fide_plugins import FIDE, Float, Int, Space, fit
+from fide_plugins import FIDE, Float, Space, fit
 from fide_plugins.errors import (
     FideError,
     ImageError,
@@ -109,28 +108,6 @@ def render(params: dict[str, float]) -> Any:
 
 def tried(render: Any = render, target: Any = PICTURE, space: Any = SPACE, **options: Any) -> Any:
     return fit(render, target, space, **{"budget": 5, "workers": 0, "seed": 0, **options})
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: Int(HALF, 5), "Float takes real numbers"),
-        (lambda: tried(budget=20.0), r"budget must be a whole number >= 1, not 20\.0; write 20$"),
-        (lambda: SPACE.decode([0, 1]), "^x must have 3 numbers, not 2$"),
-        (lambda: SPACE.decode(np.zeros((2, 3))), r"^x must have 3 numbers, not the shape \(2, 3\)"),
-        (lambda: SPACE.decode([0, 1, 2]), "must lie in"),
-        (lambda: SPACE.decode([[0], [1, 2], 0]), r"^X must be an array of shape \(n, 3\): "),
-        (lambda: tried(x0=[0.5, 0.5]), "it must have 3 numbers, not 2; to give values, pass a"),
-        (lambda: tried(mask="alpha"), r"an alpha channel.*; or give a mask of its own, mask=ARRAY"),
-        (lambda: fit(PICTURE, render, SPACE), r"^render must be a function of the parameters, not "  # type: ignore[arg-type]
-         r"an array of shape \(8, 8\); the order is fit\(render, target, space\)$"),
-        (lambda: tried(budgt=3), r"^fit has no option 'budgt' \(did you mean 'budget'\?\); known"),
-        (lambda: Space.from_toml('[a]\ntype = "int"\nlow = 0\nhihg = 1'), "unknown key"),
-    ],
-)  # fmt: skip
-def test_the_remedy_is_named(call: Callable[[], object], message: str) -> None:
-    with pytest.raises(FideError, match=message):
-        call()
 
 
 @pytest.mark.parametrize(

@@ -116,8 +116,6 @@ def test_values_beyond_the_range() -> None:
     with pytest.warns(RuntimeWarning, match=r"values in \[.*, 12\],.*clipped to \[0, 10\]"):
         opt.tell(opt.ask(1), [12 * TARGET])
     assert opt.clipped == 1
-    with pytest.warns(RuntimeWarning, match=r"takes up 0\.0039 of value_range \[0, 255\]"):
-        FIDE(SPACE, TARGET, value_range=(0, 255))
 
 
 def test_it_is_saved_and_compared(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from fide_plugins.watch import Server
 
-from .conftest import write_live, write_picture
+from .conftest import write_curve, write_picture
 
 playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright")
 
@@ -31,20 +31,20 @@ def test_it_updates_and_complains_of_nothing(browser: Any, server: Server, direc
     page.goto(server.url)
     titled(page, "0.002")
     text = page.locator("main").inner_text()
-    for shown in ("scene.py:render", "7 of 8", "120 of 500", "1 min 15 s", "12.5", "deg"):
+    for shown in ("scene.py:render", "120 of 500", "1 min 15 s", "12.5", "deg"):
         assert shown in text
     assert "<b>wood</b>" in text, "text of a run is text, never HTML"
-    assert "improving: the loss fell by half" in page.locator("#status").inner_text()
-    for name in ("target", "best", "difference"):
-        playwright.expect(page.locator(f"#{name}")).to_have_js_property("naturalWidth", 16)
+    assert page.locator("#status").inner_text() == "running"
+    for name in ("figure > .target", "figure > .best", "#difference .best"):
+        playwright.expect(page.locator(name)).to_have_js_property("naturalWidth", 16)
     line = page.locator("#line").get_attribute("d")
-    before = page.locator("#best").get_attribute("src")
+    before = page.locator("figure > .best").get_attribute("src")
 
     write_picture(directory / "best.png", 199)
-    write_live(directory, 300, 0.0001)
+    write_curve(directory, 300, 0.0001)
     titled(page, "1.00e-4")
     assert page.locator("#line").get_attribute("d") != line
-    assert page.locator("#best").get_attribute("src") != before
+    assert page.locator("figure > .best").get_attribute("src") != before
     page.close()
     assert troubles == []
     assert all(url.startswith((server.url, "data:")) for url in fetched)
@@ -72,9 +72,9 @@ CUT = """() => {
 def test_losses_of_zero_and_below_have_a_curve(
     best: float, ticks: list[str], browser: Any, server: Server, directory: Path
 ) -> None:
-    lines = ["evaluation,loss,best_loss,seconds", "0,0.5,0.5,0.1", "1,0.03,0.03,0.2"]
-    (directory / "curve.csv").write_text("\n".join(lines) + "\n")
-    write_live(directory, 120, best)
+    lines = ["0,0.5,0.5,0.1", "1,0.03,0.03,0.2", *(f"{i},1,0.03,1" for i in range(2, 119))]
+    table = ["evaluation,loss,best_loss,seconds", *lines, f"119,{best},{best},2"]
+    (directory / "curve.csv").write_text("\n".join(table) + "\n")
     page = browser.new_page()
     page.goto(server.url)
     playwright.expect(page.locator("#ticks text")).to_have_count(len(ticks) + 1)

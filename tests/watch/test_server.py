@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import http.client
-import io
 import json
 import os
 import socket
@@ -13,15 +12,14 @@ import zlib
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-from PIL import Image, ImageFile
+from PIL import ImageFile
 
 from fide_plugins.errors import OptionError
 from fide_plugins.runtime import files
 from fide_plugins.watch import Server, serve
 
-from .conftest import write_live
+from .conftest import write_curve
 
 
 def ask(server: Server, path: str, method: str = "GET", **headers: str) -> tuple[int, bytes, Any]:
@@ -50,19 +48,19 @@ def test_the_page_and_its_parts(server: Server) -> None:
 def test_the_state_is_that_of_the_files(server: Server, directory: Path) -> None:
     state = json.loads(ask(server, "/state.json")[1])
     assert (state["state"], state["task"], state["loss"]) == ("running", "scene.py:render", "mse")
-    assert (state["evaluations"], state["best_loss"], state["busy"]) == (120, 0.002, 7)
+    assert (state["evaluations"], state["budget"], state["best_loss"]) == (120, 500, 0.002)
     assert state["improvements"] == [[1, 0.5], [3, 0.1], [120, 0.002]]
-    assert state["parameters"][0] == ["azimuth", "12.5", "deg"]
-    write_live(directory, 300, 0.001)
+    assert state["parameters"] == [["azimuth", "12.5", "deg"], ["floor", "<b>wood</b>", ""]]
+    assert state["failures"] == 2
+    write_curve(directory, 300, 0.001)
     assert json.loads(ask(server, "/state.json")[1])["evaluations"] == 300
-    (directory / "live.json").unlink()
+    for name in ("curve.csv", "run.ckpt"):
+        (directory / name).unlink()
     state = json.loads(ask(server, "/state.json")[1])
-    assert (state["evaluations"], state["best_loss"], state["seconds"]) == (3, 0.1, 0.3)
-    assert state["improvements"] == [[1, 0.5], [3, 0.1]]
+    assert state["improvements"] == state["parameters"] == [] and "evaluations" not in state
 
 
 def test_totals_of_an_earlier_call_are_not_shown(server: Server, directory: Path) -> None:
-    (directory / "live.json").unlink()
     run = json.loads((directory / "run.json").read_text())
     finished = {**run, "totals": {"status": "solved", "sentence": "Solved."}}
     (directory / "run.json").write_text(json.dumps(finished))
@@ -88,17 +86,10 @@ def test_a_run_whose_process_was_killed_is_not_shown_as_running(
     age(directory, 3600)
     assert shown()["state"] == "running", "without a lock nothing is known"
     with files.locked(directory / ".run.lock"):
-        assert (shown()["state"], shown()["busy"]) == ("running", 7)
-    state = shown()
-    assert state["state"] == "stopped without an end; continue with --resume"
-    assert "busy" not in state
-    write_live(directory, 121, 0.002)
+        assert shown()["state"] == "running"
+    assert shown()["state"] == "stopped without an end; continue with --resume"
+    write_curve(directory, 121, 0.002)
     assert shown()["state"] == "running", "the lock of another machine may not be seen here"
-
-
-def test_the_difference_is_that_of_the_pictures(server: Server) -> None:
-    pixels = np.asarray(Image.open(io.BytesIO(ask(server, "/difference.png")[1])))
-    assert pixels.shape == (12, 16, 3) and (pixels == 80).all()
 
 
 @pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "PATCH", "HEAD", "OPTIONS", "TRACE"])
@@ -116,7 +107,6 @@ def test_nothing_can_be_written(server: Server, directory: Path, method: str) ->
         "/..%2fsecret.png",
         "//secret.png",
         "/run.json",
-        "/live.json",
         "/run.ckpt",
         "/target.png/",
         "/./target.png",
@@ -156,7 +146,6 @@ def test_links_and_other_contents_are_not_served(server: Server, directory: Path
     (directory / "best.png").unlink()
     (directory / "best.png").write_text("<script>alert(1)</script>")
     assert ask(server, "/best.png")[0] == 404
-    assert ask(server, "/difference.png")[0] == 404
     (directory / "best.png").unlink()
     os.mkfifo(directory / "best.png")
     assert ask(server, "/best.png")[0] == 404
@@ -177,7 +166,7 @@ def test_links_and_other_contents_are_not_served(server: Server, directory: Path
         b"[" * 100_000,
     ],
 )
-@pytest.mark.parametrize("name", ["live.json", "run.json", "curve.csv", "run.ckpt"])
+@pytest.mark.parametrize("name", ["run.json", "curve.csv", "run.ckpt"])
 def test_damaged_files_are_not_shown(
     server: Server, directory: Path, name: str, contents: bytes
 ) -> None:
@@ -236,5 +225,5 @@ def test_pictures_of_too_many_pixels_are_not_decoded(
     for name in ("target.png", "best.png"):
         (directory / name).write_bytes(many_pixels(13_000, 13_000))
     monkeypatch.setattr(ImageFile.ImageFile, "load", decoded)
-    for name in ("target.png", "best.png", "difference.png"):
+    for name in ("target.png", "best.png"):
         assert ask(server, f"/{name}")[0] == 404

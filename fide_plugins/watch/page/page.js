@@ -22,7 +22,6 @@ function numbers(state) {
   if ("best_loss" in state) rows.push(["best loss", short(state.best_loss)]);
   if ("evaluations" in state) rows.push(["renders", state.evaluations + (state.budget ? ` of ${state.budget}` : "")]);
   if ("seconds" in state) rows.push(["time", duration(state.seconds)]);
-  if ("busy" in state) rows.push(["workers busy", `${state.busy} of ${state.workers}`]);
   if (state.failures) rows.push(["failed renders", state.failures]);
   byId("numbers").replaceChildren(...rows.map(([name, value]) => {
     const box = document.createElement("div");
@@ -36,13 +35,14 @@ function numbers(state) {
 }
 
 function pictures(versions) {
-  for (const name of ["target", "best", "difference"]) {
+  for (const name of ["target", "best"]) {
     const version = versions[`${name}.png`];
     if (!version || shown[name] === version) continue;
     shown[name] = version;
-    const image = byId(name);
-    image.src = `/${name}.png?${version}`;
-    image.hidden = false;
+    for (const image of document.getElementsByClassName(name)) {
+      image.src = `/${name}.png?${version}`;
+      image.hidden = false;
+    }
   }
 }
 

@@ -16,7 +16,6 @@ from fide_plugins.cli.terminal import (
     USAGE_ERRORS,
     complain,
     continuation,
-    duration,
     note,
     notices,
     number,
@@ -27,6 +26,7 @@ from fide_plugins.cli.terminal import (
 )
 from fide_plugins.errors import FideError, RenderError
 from fide_plugins.recording.parameters import lines
+from fide_plugins.runtime.messages import duration
 
 __all__ = ["execute_all", "execute_comparisons", "execute_run"]
 

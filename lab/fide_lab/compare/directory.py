@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from fide_lab.compare.plan import TARGETS, Checked, Plan, RunKey, target_file
+from fide_lab.run.kept_target import write_target
 from fide_plugins.recording.directory import TABLES, results_in
 from fide_plugins.recording.figures import as_png
 from fide_plugins.recording.sources import edited, file_of, versions_there
@@ -31,7 +32,6 @@ from fide_plugins.recording.storage import (
     now,
     read_json,
     read_run,
-    write_target,
 )
 from fide_plugins.runtime import files, machine
 

@@ -21,9 +21,10 @@ from typing import Any, Literal
 from fide_lab.compare.directory import ERROR, LOCK, ComparisonDirectory, State, examine
 from fide_lab.compare.plan import Checked, Plan, RunKey, target_file
 from fide_lab.run import Interrupted, prepare as prepare_run
+from fide_lab.run.kept_target import read_target
 from fide_plugins.errors import CheckpointError, OptionError
 from fide_plugins.recording.signals import Interrupts
-from fide_plugins.recording.storage import read_run, read_target
+from fide_plugins.recording.storage import read_run
 from fide_plugins.runtime import files, machine
 from fide_plugins.runtime.machine import connected
 from fide_plugins.runtime.messages import said_once

@@ -16,7 +16,6 @@ import numpy.typing as npt
 from fide_lab.compare.directory import ERROR, digest, examine, read_record, runs_of
 from fide_lab.compare.plan import Configuration, RunKey
 from fide_plugins.errors import FideError, UnknownNameError
-from fide_plugins.recording.record import WORKERS
 from fide_plugins.recording.storage import RunDirectoryError, read_run
 from fide_plugins.runtime.files import read_regular
 from fide_plugins.types import Float64
@@ -196,7 +195,6 @@ def _curve(folder: Path, run: dict[str, Any]) -> Curve:
     names, *rows = csv.reader(read_regular(folder / "improvements.csv").decode().splitlines())
     table = np.array(rows, np.float64).reshape(len(rows), len(names)).T
     columns = dict(zip(names, table, strict=True))
-    del columns[f"round_of_{WORKERS}"]
     totals = run["totals"]
     at = {"renders": columns.pop("evaluation") + 1, "seconds": columns.pop("seconds")}
     ends = {"renders": float(totals["evaluations"]), "seconds": float(totals["wall_s"])}

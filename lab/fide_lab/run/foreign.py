@@ -72,7 +72,11 @@ class Foreign:
         if self._fide is not None and self._fide.state.comparisons != self._comparisons:
             self._comparisons, best = self._fide.state.comparisons, self._fide.state.best
             if best is not None and best.solution.image is not None:
-                record.judge_best(best.solution)
+                record.best_loss, record.best_evaluation = (
+                    best.solution.loss,
+                    best.solution.evaluation,
+                )
+                record.x_best, record.image = best.solution.x.copy(), best.solution.image
                 record.improvements.append(record.evaluations - 1)
                 record.path.append(best.solution.x.copy())
         errors = record.metrics.setdefault(ERROR, array("d"))

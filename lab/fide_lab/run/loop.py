@@ -18,7 +18,7 @@ import time
 from array import array
 from collections.abc import Callable, Mapping
 from contextlib import closing, nullcontext, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +34,6 @@ from fide_plugins.fitting.workers import InThisProcess
 from fide_plugins.losses.base import ImageLoss
 from fide_plugins.recording.directory import RunDirectory, note_unsaved
 from fide_plugins.recording.record import (
-    Keep,
     Progress,
     Record,
     Report,
@@ -43,6 +42,7 @@ from fide_plugins.recording.record import (
     result_of,
 )
 from fide_plugins.recording.signals import Interrupted, Interrupts
+from fide_plugins.recording.storage import remove_checkpoint
 from fide_plugins.types import Float32, Float64, Optimizer
 from fide_plugins.validation.images import as_batch, as_target
 from fide_plugins.validation.pixels import Clipping
@@ -53,6 +53,20 @@ __all__ = ["PIECE", "Run", "judge"]
 PIECE = 32
 """Largest number of candidates that are rendered before their results are told, where the task does
 not say another; see `TaskInfo.piece`."""
+
+
+@dataclass(frozen=True)
+class Keep:
+    """What a run records in addition to the losses; none of it counts as time of the run.
+
+    metrics: names of losses that also measure every image that improves on the best loss.
+    summary: a figure of the whole run, summary.png.
+    checkpoint: whether to keep the checkpoint of a finished run.
+    """
+
+    metrics: tuple[str, ...] = ()
+    summary: bool = True
+    checkpoint: bool = True
 
 
 class Run:
@@ -141,7 +155,7 @@ class Run:
                     self._directory.write_summary(result, self.target)
                 self._directory.write_run("finished", result)
                 if not self._keep.checkpoint:
-                    self._directory.remove_checkpoint()
+                    remove_checkpoint(self._directory.path)
             return result
 
     # -- steps of the loop -------------------------------------------------------------------------
@@ -152,7 +166,6 @@ class Run:
         Raises PointsError (a ValueError) if it breaks the protocol.
         """
         points = self._points(self.optimizer.ask_ready(), "asked for impossible candidates")
-        self.record.generations.append(len(points))
         return points
 
     def tell(self, X: Float64, images: Any) -> bool:
@@ -174,10 +187,8 @@ class Run:
                 self.optimizer.tell(X, batch, losses)
         self._loop.tick()
         improved = record.add(X, batch, losses)
-        start = time.perf_counter()
         with self._loop.not_counted():
             self._observe(batch, improved)
-        record.watch_s += time.perf_counter() - start
         self._loop.whole = True
         return bool(improved)
 
@@ -293,7 +304,6 @@ def judge(
 
     metrics: other losses by name, for the best one.
     """
-    start = time.perf_counter()
     if x_best is None or image is None:
         return Verdict()
     best = image if reference is None else as_target(reference(x_best))
@@ -304,8 +314,7 @@ def judge(
     recommended = value
     if x_recommended is not None and not np.array_equal(x_recommended, x_best):
         recommended = _loss(loss, as_target(reference(x_recommended)))
-    seconds = time.perf_counter() - start
-    return Verdict(best, value, mse, x_recommended, recommended, others, seconds)
+    return Verdict(best, value, mse, x_recommended, recommended, others)
 
 
 def _loss(loss: ImageLoss, image: Float32) -> float:

@@ -11,21 +11,19 @@ from typing import Any
 
 from fide_lab import optimizers
 from fide_lab.optimizers import Named
-from fide_lab.run.loop import Run
+from fide_lab.run.kept_target import KeptTarget, read_target, same_target, write_target
+from fide_lab.run.loop import Keep, Run
 from fide_lab.run.task import Task, TaskInfo, is_own, make_renderer_task, source_of_target
 from fide_lab.suite import read as read_suite
 from fide_plugins import losses as losses_module
 from fide_plugins.errors import CheckpointError, FideError, OptionError, RenderError
 from fide_plugins.learning.hypotheses import with_model
 from fide_plugins.recording.directory import RunDirectory
-from fide_plugins.recording.record import Keep, Progress, Record, RunResult
+from fide_plugins.recording.record import Progress, Record, RunResult
 from fide_plugins.recording.sources import of_files, of_losses, of_models, of_weights
 from fide_plugins.recording.storage import (
     TARGET_FILE,
-    KeptTarget,
     is_saved,
-    read_target,
-    same_target,
 )
 from fide_plugins.runtime.registry import fingerprint_of, own_name
 from fide_plugins.types import Float32, Optimizer
@@ -165,7 +163,9 @@ def _started(
                 f"the run in {directory.path} has {record.evaluations} renders already, and the "
                 f"budget is {budget}: give at least as many, or name another directory"
             )
-        directory.begin(kept)
+        if kept is not None:
+            write_target(directory.path / TARGET_FILE, kept)
+        directory.write_run()
         refused.pop_all()
     return record, searcher
 

@@ -46,7 +46,7 @@ def result(
     """A finished run that went from 1 to `final` at its 10th render."""
     totals = {
         "reference_loss": final, "best_loss": final, "evaluations": end, "dim": 3, "judged": {},
-        "wall_s": end / 10, "rounds": end, "best_evaluation": 9, "recommended_loss": None,
+        "wall_s": end / 10, "best_evaluation": 9, "recommended_loss": None,
         "times": {"render": 1.0, "encode": 2.0, "train": 3.0, "search": 3.5},
     }  # fmt: skip
     known = [] if final is None else [final]

@@ -1,4 +1,4 @@
-"""What a run records beside the losses: other losses, generations, checksums."""
+"""What a run records beside the losses: other losses, checksums."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from fide_lab.baselines.evolution import Random
 from fide_lab.run import Keep
 from fide_plugins import losses
 from fide_plugins.errors import PointsError
-from fide_plugins.recording.record import rounds
 from fide_plugins.types import Float64
 
 TARGET = np.random.default_rng(0).random((6, 8, 3)).astype(np.float32)
@@ -57,8 +56,6 @@ def test_every_improvement_is_measured_by_the_other_losses(tmp_path: Path) -> No
     assert [int(row["evaluation"]) for row in rows] == expected
     assert [float(row["loss"]) for row in rows] == result.losses[expected].tolist()
     assert [float(row["loi"]) for row in rows] == result.metrics["loi"].tolist()
-    in_round = rounds(result.generations)[expected]
-    assert [int(row["round_of_8"]) for row in rows] == in_round.tolist()
 
 
 def test_all_of_it_survives_an_interruption(tmp_path: Path) -> None:
@@ -77,13 +74,6 @@ def test_all_of_it_survives_an_interruption(tmp_path: Path) -> None:
     tables = [(tmp_path / run / "improvements.csv").read_text() for run in ("whole", "halves")]
     without_seconds = [[row.split(",")[::2] for row in table.splitlines()] for table in tables]
     assert without_seconds[0] == without_seconds[1]
-
-
-def test_rounds() -> None:
-    assert rounds([]).tolist() == []
-    assert rounds([1] * 5, workers=8).tolist() == [1, 2, 3, 4, 5]
-    assert rounds([20], workers=8).tolist() == [1] * 8 + [2] * 8 + [3] * 4
-    assert rounds([9, 8, 1], workers=8).tolist() == [1] * 8 + [2] + [3] * 8 + [4]
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from fide_lab import run as harness
+from fide_lab.run.kept_target import same_target
 from fide_plugins.errors import CheckpointError
-from fide_plugins.recording.storage import RunDirectoryError, same_target
+from fide_plugins.recording.storage import RunDirectoryError
 
 from .tint import Tint, same
 

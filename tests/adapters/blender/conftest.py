@@ -1,0 +1,3 @@
+"""`headless.py` runs in Blender."""
+
+collect_ignore = ["headless.py"]
