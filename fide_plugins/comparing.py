@@ -17,7 +17,7 @@ from fide_plugins.types import Float64
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
 
-__all__ = ["adapt_light", "compare_anew", "compare_finer", "compare_first_at"]
+__all__ = ["adapt_light", "compare_again", "compare_finer", "compare_first_at"]
 
 _NARROWEST = 1 / 3  # of the first standard deviation, with which a search begins again
 
@@ -38,10 +38,10 @@ def adapt_light(optimizer: FIDE) -> None:
     light = evaluator.comparison.light_that_explains(kept.images)
     if light != evaluator.comparison.light:
         evaluator.comparison.light = light
-        compare_anew(optimizer)
+        compare_again(optimizer)
 
 
-def compare_anew(optimizer: FIDE, std: Float64 | None = None) -> None:
+def compare_again(optimizer: FIDE, std: Float64 | None = None) -> None:
     """Forget losses and tokens of another comparison; begin a search at the best render.
 
     std: (dim,), with which it begins; None: as wide as the present one, but at least a third of the

@@ -46,7 +46,7 @@ from fide_plugins.validation.points import (
 )
 from fide_plugins.views import Views
 from fide_plugins.views.compared import loss_of
-from fide_plugins.views.grain import Grain
+from fide_plugins.views.pixel_noise import PixelNoise
 from fide_plugins.views.same_images import SameImages
 
 if TYPE_CHECKING:
@@ -217,7 +217,7 @@ class FIDE(Saved):
             proposer=make_proposer(o, self.dim, k, self.seed, encoder, learned=learned),
             steps=make_steps(o, self.dim, k, encoder, learned=learned),
             memory=Memory(o.memory_mb),
-            grain=Grain(views),
+            pixel_noise=PixelNoise(views),
             scales=scales,
             kept=self._nothing_kept(),
         )

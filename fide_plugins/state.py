@@ -35,7 +35,7 @@ from fide_plugins.search.one_search import Search
 from fide_plugins.search.policy import MovePolicy
 from fide_plugins.types import Estimate, Float32, Float64, Posterior, Solution
 from fide_plugins.validation.pixels import Clipping
-from fide_plugins.views.grain import Grain
+from fide_plugins.views.pixel_noise import PixelNoise
 
 if TYPE_CHECKING:
     from fide_plugins.comparison.kept import Kept
@@ -56,7 +56,7 @@ class State:
     moves: what the present generation is for, and where the next search begins.
     gate: how far images steer the search.
     proposer, steps: None where nothing is proposed, where there are no steps between generations.
-    grain: noise of pixels, measured where a test renders one candidate twice.
+    pixel_noise: noise of pixels, measured where a test renders one candidate twice.
     scales: the blur at which images are compared now.
     kept: the best renders; None where images are compared as they are.
     memory: samples for the next target and for `Solution.std`.
@@ -80,7 +80,7 @@ class State:
     moves: MovePolicy = saved(anything)
     gate: ImageGate = saved(anything)
     proposer: Proposer | None = saved(anything)
-    grain: Grain = saved(anything)
+    pixel_noise: PixelNoise = saved(anything)
     scales: ScaleSpace = saved(anything)
     kept: Kept | None = saved(anything)
     memory: Memory = saved(anything)
@@ -158,7 +158,7 @@ class State:
                 self.scales.note(number, exact, image.copy())
             repeats = self.moves.stage is Stage.EXCHANGE
             if image is not None and repeats and (exact == self.moves.known.current.x).all():
-                self.grain.note(image.copy())
+                self.pixel_noise.note(image.copy())
             other = candidate is None or candidate.role is CandidateRole.STEP
             if other and (self.injected is None or told < self.injected[1]):
                 self.injected = (x, told)
@@ -260,7 +260,7 @@ class State:
 
     def _go_on(self) -> None:
         """Forget the generation; begin another search, if that comes next."""
-        self.grain.forget_repeat()
+        self.pixel_noise.forget_repeat()
         self.population.forget_pending()
         if self.moves.stage is Stage.SEARCH:
             self._begin_search()
@@ -373,7 +373,7 @@ class State:
         self.samples, self.learned = [], []
         self.begin_after(self.evaluations)
         self.improved_to = np.inf
-        self.grain.forget_repeat()
+        self.pixel_noise.forget_repeat()
         self.scales.end()
         self.moves.retarget(target, start, posterior)
         self._begin_search()
@@ -477,7 +477,7 @@ class State:
         for name in ("moves", "gate", "proposer", "steps", "memory"):
             if getattr(self, name) is not None:
                 getattr(self, name).load_state_dict(state[name], sides, device)
-        for name in ("scales", "grain", "kept"):
+        for name in ("scales", "pixel_noise", "kept"):
             if getattr(self, name) is not None:
                 getattr(self, name).load_state_dict(state[name], sides)
         if self.proposer is None and len(self.population.reserved):

@@ -50,7 +50,7 @@ class Facts:
         that had begun elsewhere.  forgotten: in places that are no longer remembered.
     others: lowest loss of the other places, if any; apart: how far these are from the best place,
         in the parameter that differs most, as a fraction of its range.
-    grain: standard deviation of a pixel, if what is left is independent noise of pixels alone.
+    noise: standard deviation of a pixel, if what is left is independent noise of pixels alone.
     solved: whether the image equals the target but for what no eye sees (`views.solved`).
     same: how many candidates have had the same image, if all have; else 0 (`views.same_images`).
     mismatch: what explains most of what is left, in words, where the renderer cannot draw it.
@@ -65,7 +65,7 @@ class Facts:
     forgotten: int = 0
     others: float | None = None
     apart: float = 0.0
-    grain: float | None = None
+    noise: float | None = None
     solved: bool = False
     same: int = 0
     mismatch: str | None = None
@@ -91,7 +91,7 @@ def status_now(optimizer: FIDE, *, solved: bool) -> Status:
         others=others,
         apart=apart,
         solved=solved,
-        grain=None if image is None else state.grain.left(image, optimizer.views.target),
+        noise=None if image is None else state.pixel_noise.left(image, optimizer.views.target),
         same=optimizer.same_images.number,
         clipped=state.clipping.images,
         low=state.clipping.low,
@@ -111,12 +111,12 @@ def status_of(facts: Facts) -> Status:
         return Status("waiting", "No candidate with a finite loss has been told yet.")
     if facts.solved:
         return Status("solved", f"Solved: the image equals the target to the eye, loss {best:.3g}.")
-    if facts.grain is not None:
+    if facts.noise is not None:
         return Status(
             "noise",
             f"At the noise floor: loss {best:.3g}. The image differs from the target by "
             "independent noise of single pixels only (standard deviation of a pixel "
-            f"{facts.grain:.2g}), as far as this noise lets one see: things of a few pixels that "
+            f"{facts.noise:.2g}), as far as this noise lets one see: things of a few pixels that "
             "are about as faint, and larger, fainter ones may be missing. More samples per pixel, "
             "or a target with less noise, would tell more.",
         )

@@ -25,6 +25,7 @@ from fide_plugins.fitting.failures import (
 from fide_plugins.fitting.fidelity import StoppingFine, WorkersAsked
 from fide_plugins.fitting.loop import Loop
 from fide_plugins.fitting.pictures import as_compared, as_told, best_compared, canonical, shown
+from fide_plugins.fitting.planning import Planner
 from fide_plugins.fitting.rendering import Failed, Outcome, Renderer
 from fide_plugins.fitting.result import Result, histories
 from fide_plugins.fitting.saved_run import SavedRun, Unsaved
@@ -95,6 +96,9 @@ class Fitting:
                 schedule.load_state_dict(self.record.fineness)
             self._workers = WorkersAsked(workers, schedule)
             self._stopping = StoppingFine.around(stopping, schedule)
+        self._pool, self._planner = workers, None
+        if stopping.seconds is not None and not self.record.evaluations:
+            self._planner = Planner(stopping.seconds, workers.number, optimizer.views.views)
 
     def execute(self) -> Result:
         """Fit until a rule says stop; raises what `fit` does, after saving what was computed."""
@@ -108,7 +112,7 @@ class Fitting:
                 timeout=self._timeout, checkpoint_every=self._checkpoint_every,
             )  # fmt: skip
             try:
-                stopped = self._run()
+                stopped = self._run(interrupts)
                 self._say_how_sure(stopped, interrupts)
             except BaseException as error:
                 stopped = "interrupted" if isinstance(error, Interrupted) else "failed"
@@ -118,12 +122,16 @@ class Fitting:
                     self._workers.close()
             return self._end(stopped, interrupts, None)
 
-    def _run(self) -> str:
+    def _run(self, interrupts: Interrupts) -> str:
         """Search; returns why the search has ended."""
         loop = self._loop
         loop.stopped = loop.over()
         if loop.stopped is None and self._callbacks.call("on_start", self._as_run()):
             loop.stopped = "callback"
+        if self._planner and self._schedule and loop.stopped is None:
+            with interrupts.stoppable():
+                self._planner.measure(self.optimizer, self._schedule, self._pool, self._timeout)
+            self._planner.show(self._report is not None)
         stopped = loop.run()
         if stopped != "callback":
             self._judge()
@@ -163,6 +171,8 @@ class Fitting:
             self._withdraw(X, outcome)
             return False
         self._render_seconds += outcome.seconds
+        if self._planner and not self._schedule and self._planner.note(outcome.seconds):
+            self._planner.show(self._report is not None)
         lost = self._is_lost
         try:
             loss = self._evaluate(X, as_told(self.optimizer, outcome.image))
@@ -276,7 +286,7 @@ class Fitting:
         new = max(1, done - self._done_before)
         each = self._render_seconds / new / max(1, self._workers.number)
         left = math.inf if rules.seconds is None else rules.seconds - self.record.wall_s
-        if self.optimizer.state.grain.variance or not 0 < p <= MOST_NUMBERS:
+        if self.optimizer.state.pixel_noise.variance or not 0 < p <= MOST_NUMBERS:
             return
         if need > room or need * each > left:
             return
@@ -312,6 +322,7 @@ class Fitting:
         saved, record, optimizer = self.saved, self.record, self.optimizer
         if saved is None:
             return
+        plan = [] if self._planner is None else self._planner.lines
         try:
             if self._loop.whole:
                 self.save()
@@ -321,9 +332,9 @@ class Fitting:
         except Exception:
             with suppress(Exception):
                 failed = "failed" if state == "finished" else state
-                saved.leave(failed, stopped, record, optimizer, self._solutions)
+                saved.leave(failed, stopped, record, optimizer, self._solutions, plan)
             raise
-        saved.leave(state, stopped, record, optimizer, self._solutions)
+        saved.leave(state, stopped, record, optimizer, self._solutions, plan)
 
     @cached_property  # of the end: files and result share it, and its standard deviations
     def _solutions(self) -> list[Solution]:
@@ -360,6 +371,7 @@ class Fitting:
             clipped=optimizer.clipped,
             value_range=optimizer.value_range,
             std_renders=self._std_renders,
+            plan=() if self._planner is None else tuple(self._planner.lines),
             compared=None if compared is None else shown(optimizer, compared),
             unsaved=Unsaved(optimizer, record, self._plan, stopped, solutions),
             **histories(self.record, optimizer.dim),

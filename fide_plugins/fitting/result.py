@@ -56,6 +56,7 @@ class Result:
         "callback", "interrupted" or "failed"; of a run that was read also "running", "finished".
     out: run directory; None without.
     cost: of all renders, in full ones, by pixels times samples; see `Fidelity`.
+    plan: three lines on how a fit with a `time` was to spend it; none without, and when resumed.
     std_renders: renders around the answer, beside the evaluations, from which `best.std` is
         computed; 0: it is rough, from samples of the search, or was read.
     value_range: values of target and images that are black and white; None: 0 and 1.
@@ -83,6 +84,7 @@ class Result:
     out: Path | None
     cost: float
     std_renders: int = 0
+    plan: tuple[str, ...] = ()
     clipped: int = 0
     value_range: tuple[float, float] | None = None
     unsaved: Unsaved | None = None

@@ -86,8 +86,9 @@ class SavedRun:
         record: Record,
         optimizer: FIDE,
         solutions: Sequence[Solution],
+        plan: Sequence[str] = (),
     ) -> None:
-        """Write totals and the summary; stopped, solutions: see `Result`."""
+        """Write totals and the summary; stopped, solutions, plan: see `Result`."""
         image, verdict = None if record.image is None else best_compared(optimizer), Verdict()
         if image is not None:  # nobody knows a better one
             verdict = Verdict(image, record.best_loss, optimizer.views.squared_error(image))
@@ -102,6 +103,7 @@ class SavedRun:
             "failures": record.failures,
             "clipped": optimizer.clipped,
             "cost": record.cost,
+            **({"plan": list(plan)} if plan else {}),
             "solutions": solutions_as_data(solutions),
         }
         writes = [

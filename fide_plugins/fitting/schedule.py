@@ -25,14 +25,14 @@ from fide_plugins.validation.pixels import Clipping
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
 
-__all__ = ["Schedule"]
+__all__ = ["SHARE", "Schedule"]
 
 _RISE = 4  # times as many samples, or pixels
 _PAIRS, _FEWEST_PAIRS, _EVERY = 16, 8, 18  # renders of one candidate twice: kept, needed, one of
 _SPREADS, _FEWEST_SPREADS = 8, 3  # generations whose median spread of losses counts
 _TOLERANCE = 0.5  # largest ratio of noise to spread
 _NORMAL = 1.349  # interquartile range of the normal distribution, in standard deviations
-_SHARE = 0.6  # of budget or time, after which pictures have their full size
+SHARE = 0.6  # of budget or time, after which pictures have their full size
 _GOOD = 0.1  # of the first candidates' median loss
 _NARROW = 1 / 3  # of a pixel: the mean standard deviation of a search that sees no more
 _STALE, _GAIN = 8, 0.1  # generations in which the loss does not improve by that share
@@ -87,17 +87,24 @@ class Schedule:
 
     def finest(self) -> dict[str, Any]:
         """Keyword arguments of the finest render."""
-        return self._keywords(self._last, self._most, 0)
+        return self.keywords(self._last, self._most, 0)
 
     def request(self) -> dict[str, Any]:
         """Keyword arguments of the next render."""
         self._count += 1
         seed = np.random.default_rng((self._seed, 5, self._count)).integers(2**31)
-        return self._keywords(self.k, self.samples, int(seed))
+        return self.keywords(self.k, self.samples, int(seed))
 
-    def _keywords(self, k: int, samples: int, seed: int) -> dict[str, Any]:
+    def keywords(self, k: int, samples: int, seed: int) -> dict[str, Any]:
+        """Of a render of the k-th size."""
         given = {"size": self.sizes[k], "samples": samples, "seed": seed}
         return {name: given[name] for name in self._takes}
+
+    def keep(self, kept: list[int]) -> None:
+        """Ask for these sizes only, the last among them; before anything was told."""
+        self.sizes = [self.sizes[k] for k in kept]
+        self._works = [len(kept) - 1]
+        self.begin()
 
     def pay(self, k: int, samples: int) -> None:
         """Count a render."""
@@ -255,7 +262,7 @@ class Schedule:
         if left <= 1:
             self._next = (self._last, self._most)
         elif self.k < self._last and (
-            spent >= _SHARE * (self.k + 1) / self._last or self._sees_no_more
+            spent >= SHARE * (self.k + 1) / self._last or self._sees_no_more
         ):
             self._next = (self.k + 1, self.samples)
         elif self._noise_decides:
@@ -291,6 +298,7 @@ class Schedule:
         state = {name: getattr(self, name) for name in _NUMBERS}
         arrays = {name: np.array(getattr(self, name), np.float64) for name in _ARRAYS}
         rising = None if self._rising is None else list(self._rising)
+        state["sizes"] = [list(size) for size in self.sizes]
         return {**state, **arrays, "works": list(self._works), "rising": rising}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
@@ -299,6 +307,8 @@ class Schedule:
             setattr(self, name, state[name])
         self._halves.extend(state["_halves"].tolist())
         self._spreads.extend(state["_spreads"].tolist())
+        if len(state["sizes"]) < len(self.sizes):  # a plan has left some out
+            self.sizes = [tuple(size) for size in state["sizes"]]
         self._losses, self._works = state["_losses"].tolist(), list(state["works"])
         rising = state["rising"]
         self._rising = None if rising is None else (rising[0], rising[1])

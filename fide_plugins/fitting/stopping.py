@@ -126,7 +126,7 @@ def _is_stalled(code: str, optimizer: FIDE) -> bool:
     if code in ("waiting", "improving"):
         return False
     state = optimizer.state
-    if code == "agreed" or (code == "noise" and state.grain.variance):
+    if code == "agreed" or (code == "noise" and state.pixel_noise.variance):
         return True
     since, took = state.evaluations - state.improved_at, state.improved_at - state.retargeted_at
     return since >= max(took, _PATIENCE * optimizer.popsize)

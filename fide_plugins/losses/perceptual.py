@@ -41,7 +41,7 @@ OPPONENT = np.array(
     [[0.299, 0.587, 0.114], [-0.168736, -0.331264, 0.5], [0.5, -0.418688, -0.081312]], np.float32
 )
 FINEST = 1 / 56  # spacing of the finest samples, relative to sqrt(H W)
-GRAIN_FROM = 1.5  # least spacing of the finest samples, in pixels, for which noise is subtracted
+NOISE_FROM = 1.5  # least spacing of the finest samples, in pixels, for which noise is subtracted
 
 Weights = tuple[Any, Any]  # weights of samples along both axes
 
@@ -56,7 +56,7 @@ class _Level:
 
 @dataclass(frozen=True)
 class _Structure:
-    """Features of one image at one scale; k = 2 for picture and grain, 1 for the picture only."""
+    """Features of one image at one scale; k = 2 with the checkerboard."""
 
     colors: Float32
     gradient: Float32
@@ -73,8 +73,8 @@ class PerceptualLoss(LossOfTarget):
         super().__init__(target)
         height, width, _ = self.target.shape
         self.levels = _levels(height, width)
-        self.samplers = [self.levels[0].samples]  # of picture and grain
-        if FINEST * sqrt(height * width) >= GRAIN_FROM:
+        self.samplers = [self.levels[0].samples]  # of picture and checkerboard
+        if FINEST * sqrt(height * width) >= NOISE_FROM:
             self.samplers.append(_on_checkerboard(self.levels[0].samples))
         self._structure = self._features(self.target)
 
@@ -150,7 +150,7 @@ def _sum_of_squares(gradient: Float32) -> Float32:
 
 
 def _without_noise(squares: Any) -> Any:
-    """Squares of the picture minus those of the grain, from (..., k); at least a tenth of them."""
+    """Squares of the picture minus those of the checkerboard, from (..., k), or a tenth."""
     if squares.shape[-1] == 1:
         return squares[..., 0]
     return np.maximum(squares[..., 0] - squares[..., 1], LEAST * squares[..., 0])

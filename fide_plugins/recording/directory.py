@@ -264,10 +264,12 @@ class RunDirectory:
         """
         try:
             from fide_plugins.recording.plots import summary
+
+            picture = summary(result, target, counts)
         except DependencyError as error:
             warn_user(f"summary.png is left out: {error}")
         else:
-            files.write_bytes(self.path / "summary.png", summary(result, target, counts))
+            files.write_bytes(self.path / "summary.png", picture)
 
     def write_run(
         self,

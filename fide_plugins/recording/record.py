@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from fide_plugins.runtime.schema import (
     Schema,
+    anything,
     array as numbers,
     check,
     each,
@@ -340,6 +341,7 @@ _FINENESS: Schema = {
     "_typical": maybe(real()),
     "_spread": maybe(numbers("d", low=0.0)),
     "works": each(whole()),
+    "sizes": each(each(anything)),
     "rising": maybe(row(numbers("d", low=0.0, high=1.0), numbers("d", low=0.0))),
 }
 _RECORD: dict[str, Schema] = {

@@ -20,8 +20,8 @@ RUN = Facts(evaluations=3000, best=0.01, improved_at=1200, horizon=500, ended=[2
     [
         (replace(RUN, best=None), "waiting", "finite loss"),
         (replace(RUN, solved=True), "solved", "0.01"),
-        (replace(RUN, grain=0.02), "noise", "samples per pixel"),
-        (replace(RUN, grain=0.02), "noise", "larger, fainter ones may be missing"),
+        (replace(RUN, noise=0.02), "noise", "samples per pixel"),
+        (replace(RUN, noise=0.02), "noise", "larger, fainter ones may be missing"),
         (replace(RUN, improved_at=2800), "improving", "Still improving"),
         (replace(RUN, ended=[]), "stalled", "since evaluation 1,200"),
         (replace(RUN, ended=[1, 0]), "stalled", "of one search, no second one began elsewhere. Un"),

@@ -190,9 +190,13 @@ def test_a_fit_is_stalled_after_many_moves(
     code: str, improved_at: int, evaluations: int, over: str | None
 ) -> None:
     """With a population of eight."""
-    grain = SimpleNamespace(variance=0.01)
+    pixel_noise = SimpleNamespace(variance=0.01)
     state = SimpleNamespace(
-        evaluations=evaluations, improved_at=improved_at, retargeted_at=0, grain=grain, best=None
+        evaluations=evaluations,
+        improved_at=improved_at,
+        retargeted_at=0,
+        pixel_noise=pixel_noise,
+        best=None,
     )
     optimizer: Any = SimpleNamespace(
         popsize=8, dim=4, state=state, status=SimpleNamespace(code=code),

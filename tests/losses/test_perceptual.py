@@ -43,7 +43,7 @@ def test_noise_is_subtracted_and_the_picture_is_not(
     loss = PerceptualLoss(target)
     clean, left = loss(image[None])[0], loss(found).mean()
     assert abs(loss(other).mean() - clean) < 0.02 * clean
-    monkeypatch.setattr(perceptual, "GRAIN_FROM", np.inf)
+    monkeypatch.setattr(perceptual, "NOISE_FROM", np.inf)
     without = PerceptualLoss(target)
     np.testing.assert_allclose(clean, without(image[None])[0], rtol=0.01)
     assert left < 0.4 * without(found).mean()

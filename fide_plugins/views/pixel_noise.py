@@ -1,8 +1,8 @@
-"""Grain: noise that is independent from pixel to pixel, as that of path tracers and cameras is.
+"""Noise that is independent from pixel to pixel, as that of path tracers and cameras is.
 
 Half of the mean squared difference of two renders of one candidate is the variance of a pixel.
-Where an image is right, its difference from the target is grain of up to twice that: neighbors are
-not correlated, and no mean of 3 x 3 to 8 x 8 pixels stands out.  Where the target has more grain
+Where an image is right, its difference from the target is noise of up to twice that: neighbors are
+not correlated, and no mean of 3 x 3 to 8 x 8 pixels stands out.  Where the target has more noise
 than the renders, it must be as strong all over the picture.
 """
 
@@ -19,21 +19,21 @@ from fide_plugins.runtime.schema import Schema, array, check, maybe, real
 from fide_plugins.types import Float32, Float64
 from fide_plugins.views.views import Views
 
-__all__ = ["Grain", "is_even_grain", "is_grain"]
+__all__ = ["PixelNoise", "is_even_noise", "is_noise"]
 
 _LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))  # rows, columns to a neighbor
-_CORRELATED = 0.1  # correlation of neighbors from which on a difference is no grain alone
-_WINDOW = 8  # pixels of a side, whose differences of neighbors say how strong grain is there
+_CORRELATED = 0.1  # correlation of neighbors from which on a difference is no noise alone
+_WINDOW = 8  # pixels of a side, whose differences of neighbors say how strong noise is there
 _FREE = 37  # degrees of freedom of that
 _SIDES = (3, 5, 8)  # pixels of a side, of which the mean must not stand out: strong pixels may
-_EVEN_SIDES = (1, 2, *_SIDES)  # where grain is as strong everywhere
+_EVEN_SIDES = (1, 2, *_SIDES)  # where noise is as strong everywhere
 _SPOT = 5e-3  # probability of one such mean in a picture
 _QUIET = 0.1  # of the standard deviation of all pixels, the least one that a window is given
 _LEAST = 400  # pixels, of which a correlation has a standard error of 0.05
-_MOST = 2.5  # times the variance of a pixel: twice, if the target has grain, and a reserve
+_MOST = 2.5  # times the variance of a pixel: twice, if the target has noise, and a reserve
 _CHANCE = 4.0  # standard errors of the correlation of neighbors that is allowed
 _FAINT, _DENSE = 0.01, 0.7  # of the mean square; so many pixels must exceed it, by chance 0.92
-_SIDE = 9  # pixels of a square with more grain than chance explains
+_SIDE = 9  # pixels of a square with more noise than chance explains
 _RARE = 1e-3  # probability of one such square in a picture
 _TINY = 1e-300
 _SCHEMA: dict[str, Schema] = {
@@ -42,7 +42,7 @@ _SCHEMA: dict[str, Schema] = {
 }
 
 
-class Grain:
+class PixelNoise:
     """The variance of pixels, measured, and whether it is all that is left.
 
     views: their weights say which pixels count.
@@ -68,7 +68,7 @@ class Grain:
         self._repeat = None
 
     def left(self, image: Float32, target: Float32) -> float | None:
-        """Standard deviation of a pixel, if grain is all in which an image differs from a target.
+        """Standard deviation of a pixel, if noise is all in which an image differs from a target.
 
         image, target: (H, W, 3).  None: there is something else, or nobody knows: no candidate was
         rendered twice yet.
@@ -84,9 +84,9 @@ class Grain:
         apart = self._views.differences(image, target)
         square = _mean_square(apart)
         if 0 < square <= _MOST * variance:
-            return float(np.sqrt(variance)) if all(map(is_grain, apart)) else None
+            return float(np.sqrt(variance)) if all(map(is_noise, apart)) else None
         pairs = zip(apart, self._views.views, strict=True)
-        even = square and all(is_even_grain(one, view.counted) for one, view in pairs)
+        even = square and all(is_even_noise(one, view.counted) for one, view in pairs)
         return float(np.sqrt(square)) if even else None
 
     def state_dict(self) -> dict[str, Any]:
@@ -95,7 +95,7 @@ class Grain:
 
     def load_state_dict(self, state: Mapping[str, Any], sides: Mapping[str, int]) -> None:
         """Put back what `state_dict` gave; raises ValueError for what it cannot have given."""
-        check(state, _SCHEMA, dict(sides), "grain")
+        check(state, _SCHEMA, dict(sides), "pixel_noise")
         self.variance, self._repeat = state["variance"], state["repeat"]
 
 
@@ -103,7 +103,7 @@ def _mean_square(differences: list[Float64]) -> float:
     return float(np.mean([np.square(each).mean() for each in differences]))
 
 
-def is_grain(difference: Float64) -> bool:
+def is_noise(difference: Float64) -> bool:
     """Whether a difference of two images (H, W, 3) is independent from pixel to pixel.
 
     None at all is.  Where fewer than 400 pixels differ nothing can be said: False.
@@ -120,8 +120,8 @@ def is_grain(difference: Float64) -> bool:
     return not _stands_out(seen, _SIDES, np.maximum(variances, least), limit)
 
 
-def is_even_grain(difference: Float64, counted: int) -> bool:
-    """As `is_grain`, with as much of it all over the picture.
+def is_even_noise(difference: Float64, counted: int) -> bool:
+    """As `is_noise`, with as much of it all over the picture.
 
     counted: number of pixels that count; the others do not differ.
     """

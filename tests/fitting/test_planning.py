@@ -1,0 +1,77 @@
+"""The plan of a fit with a limit of time: what is measured first, and what follows."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fide_plugins import FIDE, Fidelity, fit
+from fide_plugins.fitting.fidelity import schedule_for
+from fide_plugins.fitting.planning import Planner
+from fide_plugins.fitting.rendering import Outcome, Rendered
+from fide_plugins.fitting.workers import InThisProcess
+from fide_plugins.types import Float64
+
+from .test_fidelity import ANSWER, SPACE, Asked, draw, renderer
+
+FIDELITY = Fidelity(size=(16, 64), samples=(4, 4))
+
+
+@pytest.fixture(scope="module")
+def target() -> Float64:
+    return draw(ANSWER, (64, 64), 64, 10**6)
+
+
+@pytest.mark.parametrize(("start", "kept"), [(0.0, [16, 32, 64]), (0.02, [32, 64]), (0.5, [64])])
+def test_sizes_that_save_no_time_are_left_out(
+    target: Float64, start: float, kept: list[int]
+) -> None:
+    def rendered(asked: Any) -> Outcome:
+        return Rendered(None, start + 0.05 * (asked[1]["size"][0] / 64) ** 2)
+
+    optimizer = FIDE(SPACE, target, seed=0)
+    schedule = schedule_for(renderer([]), FIDELITY, optimizer)
+    assert schedule is not None
+    planner = Planner(60.0, 1, optimizer.views.views)
+    planner.measure(optimizer, schedule, InThisProcess(rendered), None)
+    assert [size[0] for size in schedule.sizes] == kept
+    small = None if kept == [64] else (kept[0], kept[0])
+    assert optimizer.evaluator.size == small
+    assert len(planner.lines) == 3 and ("save no time" in planner.lines[0]) == (len(kept) < 3)
+    assert schedule.cost == pytest.approx(1 + 1 / 4 + 2 / 16)
+
+
+def test_the_plan_is_printed_kept_and_made_once(
+    target: Float64, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked: Asked = []
+    options: dict[str, Any] = {"time": "10m", "fidelity": FIDELITY, "out": tmp_path, "workers": 0}
+    options |= {"seed": 0, "until": "budget"}
+    result = fit(renderer(asked), target, SPACE, 8, progress=True, **options)
+    assert [size[0] for _, size, *_ in asked[:4]] == [16, 16, 32, 64]
+    assert len(result.plan) == 3 and asked[-1][1] == (64, 64)
+    printed = capsys.readouterr().err
+    assert all(f"plan: {line}\n" in printed for line in result.plan)
+    totals = json.loads((tmp_path / "run.json").read_text())["totals"]
+    assert totals["plan"] == list(result.plan) and totals["cost"] == result.cost
+    again = fit(renderer(asked), target, SPACE, 12, resume=True, **options)
+    assert not again.plan and again.evaluations == 12 and asked[-1][1] == (64, 64)
+
+
+def test_a_renderer_of_one_kind_is_rendered_no_more_often_for_a_plan(target: Float64) -> None:
+    asked: list[dict[str, float]] = []
+
+    def render(params: dict[str, float]) -> Float64:
+        asked.append(params)
+        return draw(params, (64, 64), 16, 0)
+
+    options: dict[str, Any] = {"budget": 10, "workers": 0, "seed": 0, "until": "budget"}
+    plain = fit(render, target, SPACE, **options)
+    planned = fit(render, target, SPACE, time="10m", **options)
+    assert np.array_equal(plain.losses, planned.losses)
+    assert asked[: len(asked) // 2] == asked[len(asked) // 2 :]
+    assert not plain.plan and planned.plan[0].startswith("pictures of 64 x 64 pixels")
