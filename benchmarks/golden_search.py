@@ -161,7 +161,8 @@ def minimize(
         images, usual = p.render(X), usual or len(X)
         values, half = p.loss(images), len(X) // 2
         other = generation > 0 and len({usual, before, len(X)}) > 1
-        if other or generation % every == every - 1:
+        saves = getattr(opt, "resumable", True)
+        if saves and (other or generation % every == every - 1):
             if half:
                 tell(opt, X[:half], images[:half], values[:half])
             copy = trace.reloaded(opt, load)

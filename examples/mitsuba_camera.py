@@ -96,7 +96,8 @@ class Photographer:
         """Share of each pixel that the things cover, (SIDE, SIDE): their rays have a depth."""
         self.aim(self.params_alone, p)
         depth = np.array(self.mi.render(self.alone, spp=1, seed=0))[..., 0]
-        return np.float32(depth > 0).reshape(SIDE, 4, SIDE, 4).mean(axis=(1, 3))
+        covered = np.asarray(depth > 0, np.float32).reshape(SIDE, 4, SIDE, 4)
+        return np.asarray(covered.mean(axis=(1, 3)), np.float32)
 
 
 class Fit(NamedTuple):

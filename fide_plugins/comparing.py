@@ -25,7 +25,8 @@ _NARROWEST = 1 / 3  # of the first standard deviation, with which a search begin
 def adapt_light(optimizer: FIDE) -> None:
     """Set more or less of the light aside, where the best renders say so (`comparison.auto`).
 
-    It is considered after 1, 2, 4, 8 ... generations of a search.
+    It is considered after 1, 2, 4, 8 ... generations of a search, once its blurs are chosen, and
+    where the target has other colors than the first renders.
     """
     evaluator, kept = optimizer.evaluator, optimizer.state.kept
     generations = optimizer.state.population.generations
@@ -33,11 +34,18 @@ def adapt_light(optimizer: FIDE) -> None:
         return
     if generations == kept.considered or generations & (generations - 1):
         return
+    if optimizer.state.scales.useful is None and not kept.covered:
+        return  # blurs are chosen by the first renders, in their own light
     kept.considered = generations
     assert evaluator.comparison is not None and kept.images is not None
-    light = evaluator.comparison.light_that_explains(kept.images)
-    if light != evaluator.comparison.light:
-        evaluator.comparison.light = light
+    comparison, before = evaluator.comparison, evaluator.comparison.state_dict()
+    if kept.other_colors is None:
+        kept.other_colors = comparison.has_other_colors(kept.images)
+        if optimizer.options.photo:
+            comparison.camera = comparison.camera_blur(kept.images)
+    if kept.other_colors:
+        comparison.light = comparison.light_that_explains(kept.images)
+    if comparison.state_dict() != before:
         compare_again(optimizer)
 
 

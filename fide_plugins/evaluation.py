@@ -108,7 +108,9 @@ class Evaluator:
             encoder = OwnEncoder(encoder, device=resolve_device(device, for_network=for_network))
         self.encoder = encoder_of(self.views, encoder)
         self._how: dict[str, Any] = {}
-        self.adapts_light = photometric == "auto" or (photo and photometric is None)
+        self.adapts_light = getattr(self.loss, "of_places", True) and (
+            photometric == "auto" or (photo and photometric is None)
+        )
         self.comparison: Comparison | None = None
         if photo or not (photometric is None and robust is None and background is None):
             self._how = {
@@ -215,7 +217,8 @@ class Evaluator:
         other.loss = loss_of(views, loss, device=self._device)
         other.encoder = encoder_of(views, self.encoder)
         if self.comparison is not None:
-            other.comparison = other._compared_by(**self.comparison.options)
+            options = {**self.comparison.options, "camera": 0.0}  # of other pixels
+            other.comparison = other._compared_by(**options)
         shown = other.target if other.comparison is None else other.comparison.target()
         other.target_tokens = other.encoder.compute(shown[None])[0]  # (T, C)
         return other

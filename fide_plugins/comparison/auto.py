@@ -1,9 +1,15 @@
-"""Whether light tells the target from the renders: ``photometric="auto"``.
+"""Whether a light or a camera's blur tells the target from the renders.
 
 A free light brings any two pictures nearer to each other, so what it does for the best renders and
 the target is compared with what it does for pairs of these renders, which have the same light: only
 where it explains more than half of what is left beyond that, it is set aside.  It is no longer
 where the renders are as near without it.
+
+It never is where renders have the target's colors: parameters change them then, or nothing does,
+and what a light removed would be a difference of place.
+
+A blur is known from the edges, wherever they are: how much steeper the steepest are in the picture
+than in the same picture behind a filter.
 """
 
 from __future__ import annotations
@@ -13,15 +19,22 @@ from itertools import permutations
 
 import numpy as np
 
+from fide_plugins.comparison.blur import blurred
 from fide_plugins.comparison.light import EXPOSURE, NONE, SHADING, robust_factor, robust_light
 from fide_plugins.types import Float32, Float64
 
-__all__ = ["MOST", "changed_light", "light_between"]
+__all__ = ["MOST", "camera_blur", "changed_light", "has_other_colors", "light_between"]
 
 MOST = 4  # renders that are looked at
 _KINDS = (NONE, EXPOSURE, SHADING)
 _EXPLAINED = 0.5  # of what is left without a light, at most, with it
 _NO_LONGER = 1.05  # times what is left with a light, at most, without it
+_LEVELS = np.linspace(0.05, 0.95, 9)  # quantiles of each channel
+_FARTHER, _STEP = 4.0, 0.004  # times the usual distance of other colors, and beyond it
+_SIGMAS = 0.8, 1.6  # pixels: edges are compared behind these filters
+_STEEPEST = (0.9, 0.95, 0.98)  # quantiles of the gradients
+_BLURS = (0.0, 0.4, 0.6, 0.8, 1.0, 1.3, 1.7, 2.2)  # pixels
+_LOOKED_AT, _SURE, _LEAST_BLUR = 8, 2.0, 0.6  # renders, their standard deviations, pixels
 _NOTHING = 1e-7  # mean square that is rounding
 
 
@@ -62,6 +75,43 @@ def changed_light(light: str, left: Float64) -> str:
         if before > _NOTHING and share < _EXPLAINED * usual[other]:
             now = other
     return _KINDS[now]
+
+
+def has_other_colors(target: Float32, renders: Sequence[Float32]) -> bool:
+    """Whether quantiles of a target's colors are far from those of all renders, (h, w, 3) each.
+
+    Far is what is four times as far as a render's from those of the most similar render.
+    """
+    if len(renders) < 3:
+        return True
+    pictures = [one.reshape(-1, 3) for one in (target, *renders)]
+    found = np.array([np.quantile(one, _LEVELS, axis=0).ravel() for one in pictures])
+    apart = np.sqrt(np.square(found[:, None] - found).mean(axis=2))
+    np.fill_diagonal(apart, np.inf)
+    usual = float(np.median(apart[1:, 1:].min(axis=1)))
+    return bool(apart[0].min() > _FARTHER * usual + _STEP)
+
+
+def camera_blur(target: Float32, renders: Sequence[Float32]) -> float:
+    """Blur in pixels that gives renders edges as soft as the target's, (H, W, 3) each; 0: none."""
+    seen = renders[:_LOOKED_AT]
+    soft = np.array([[_softness(blurred(one, b)) for b in _BLURS] for one in seen])
+    own, mean = _softness(target), soft.mean(axis=0)
+    if len(seen) < 3 or own < mean[0] + _SURE * float(soft[:, 0].std()):
+        return 0.0
+    found = float(np.interp(own, np.maximum.accumulate(mean), _BLURS))
+    return found if found >= _LEAST_BLUR else 0.0
+
+
+def _softness(image: Float32) -> float:
+    """Logarithm of how steep the steepest edges stay behind a filter."""
+    steep = []
+    for sigma in _SIGMAS:
+        filtered = blurred(image, sigma)
+        across, down = np.diff(filtered, axis=1)[:-1], np.diff(filtered, axis=0)[:, :-1]
+        squares = (np.square(across) + np.square(down)).sum(axis=-1)
+        steep.append(float(np.sqrt(np.quantile(squares, _STEEPEST)).mean()))
+    return float(np.log((steep[1] + _NOTHING) / (steep[0] + _NOTHING)))
 
 
 def _left(

@@ -9,7 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from fide_plugins.comparison.auto import MOST, changed_light, light_between
+from fide_plugins.comparison.auto import (
+    MOST,
+    camera_blur,
+    changed_light,
+    has_other_colors,
+    light_between,
+)
+from fide_plugins.comparison.blur import blurred
 from fide_plugins.comparison.light import (
     EXPOSURE,
     NONE,
@@ -57,6 +64,8 @@ class Comparison:
         target; None: differences count as they are.
     background: whether pixels that are not covered are explained by the target's colors.
     blur: standard deviation in pixels at which `compare` compares if it is not told otherwise.
+    camera: standard deviation in pixels by which the target is softer than renders, which are
+        blurred as much.
     """
 
     def __init__(
@@ -69,20 +78,24 @@ class Comparison:
         scale: float | str | None = None,
         background: bool = False,
         blur: float = 0.0,
+        camera: float = 0.0,
     ) -> None:
+        if not getattr(loss, "of_places", True):  # differences of pixels say nothing
+            light, scale = NONE, None
         self.views, self._loss, self._loss_at = views, loss, loss_at
         self.light, self.scale, self.background, self.blur = light, scale, background, blur
+        self.camera = camera
         self._levels: dict[float, _Level] = {}
 
     @property
     def options(self) -> dict[str, Any]:
         """Keyword arguments of the constructor, as they are now."""
-        names = ("light", "scale", "background", "blur")
+        names = ("light", "scale", "background", "blur", "camera")
         return {name: getattr(self, name) for name in names}
 
     def state_dict(self) -> dict[str, Any]:
         """What changes."""
-        return {"light": self.light, "blur": self.blur}
+        return {"light": self.light, "blur": self.blur, "camera": self.camera}
 
     def at(self, blur: float | None = None) -> _Level:
         """The target at a blur, with its loss."""
@@ -152,6 +165,26 @@ class Comparison:
             found.append((one.lit(x, cover), view.target, weights))
         return found
 
+    def has_other_colors(self, images: Float32) -> bool:
+        """Whether the target's colors are none of these renders' (n, H, W, C): see `auto`."""
+        if images.shape[3] == 4:
+            return True  # what they do not cover has any color
+        parts = self.views.split(images)
+        return any(
+            has_other_colors(level.small, [_small(image) for image in part])
+            for level, part in zip(self.at().each, parts, strict=True)
+        )
+
+    def camera_blur(self, images: Float32) -> float:
+        """By how much the target is softer than renders (n, H, W, C), in pixels: see `auto`.
+
+        0 where pixels are hidden, or not covered: their borders are edges.
+        """
+        if images.shape[3] == 4 or any(view.weights is not None for view in self.views.views):
+            return 0.0
+        parts = zip(self.views.views, self.views.split(images), strict=True)
+        return min(camera_blur(view.target, list(part)) for view, part in parts)
+
     def light_that_explains(self, images: Float32) -> str:
         """How much of the light differs, as the best renders (n, H, W, C) say: see `auto`."""
         level, found = self.at(), []
@@ -220,7 +253,7 @@ class _OneView:
         """A render (H, W, 3), its light, and the share of pixels that it does not cover."""
         light = self.light(image, coverage)
         y = image if light is None else light.applied(image)
-        apart = blurred(y, self._blur) - self.target
+        apart = blurred(y, float(np.hypot(self._blur, self._comparison.camera))) - self.target
         factor = None if self.scale is None else robust_factor(apart, self.scale)  # (H, W)
         free = 0.0
         if coverage is not None:
@@ -244,9 +277,10 @@ class _OneView:
         return np.asarray(np.clip(left, 0, 1), np.float32)
 
     def lit(self, image: Float32, coverage: Float32 | None) -> Float32:
-        """A render (H, W, 3) in its light."""
+        """A render (H, W, 3) in its light, as soft as the target."""
         light = self.light(image, coverage)
-        return image if light is None else light.applied(image)
+        y = image if light is None else light.applied(image)
+        return blurred(y, self._comparison.camera)
 
     def light(self, image: Float32, coverage: Float32 | None) -> Light | None:
         kind = self._comparison.light
@@ -280,7 +314,7 @@ def _times(image: Float32, factor: Float32) -> Float32:
 
 def checked(state: Mapping[str, Any]) -> Mapping[str, Any]:
     """The state of a comparison; ValueError if it is none."""
-    check(state, {"light": text, "blur": real(0.0)}, {}, "comparison")
+    check(state, {"light": text, "blur": real(0.0), "camera": real(0.0)}, {}, "comparison")
     if state["light"] not in (NONE, EXPOSURE, SHADING):
         raise ValueError(f"{state['light']!r} is no light")
     return state
@@ -306,22 +340,3 @@ def _small(image: Float32) -> Float32:
     height, width = image.shape[:2]
     size = min(width, _SMALL), min(height, _SMALL)
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32)
-
-
-def blurred(image: Float32, blur: float) -> Float32:
-    """An image (H, W, C) behind a Gaussian filter, with its own pixels beyond the border.
-
-    blur: standard deviation in pixels; a large one filters a smaller image.
-    """
-    if not blur:
-        return image
-    from fide_plugins.runtime.opencv import cv2
-
-    height, width = image.shape[:2]
-    factor = max(1, int(blur / 2))
-    size = max(1, round(width / factor)), max(1, round(height / factor))
-    small: Any = cv2.resize(image, size, interpolation=cv2.INTER_AREA) if factor > 1 else image
-    small = cv2.GaussianBlur(small, (0, 0), blur / factor, borderType=cv2.BORDER_REPLICATE)
-    if factor > 1:
-        small = cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR)
-    return np.asarray(small, np.float32).reshape(image.shape)

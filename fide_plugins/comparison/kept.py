@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fide_plugins.runtime.schema import Schema, Sides, array, check, maybe, whole
+from fide_plugins.runtime.schema import Schema, Sides, array, check, flag, maybe, whole
 from fide_plugins.types import Float32, Float64, Solution
 
 __all__ = ["Kept"]
@@ -21,6 +21,7 @@ _SCHEMA: dict[str, Schema] = {
     "given": array("n", kind="b"),
     "images": maybe(array("n", "H", "W", "channels")),
     "considered": whole(),
+    "other_colors": maybe(flag),
 }
 
 
@@ -32,6 +33,7 @@ class Kept:
     images: (n, H, W, C), packed if there are several views, the fourth channel is the coverage;
         None before the first.
     considered: generations of the run when the light was considered last.
+    other_colors: whether the target's colors were none of the first renders'; None: not looked at.
     """
 
     def __init__(self, dim: int) -> None:
@@ -41,6 +43,7 @@ class Kept:
         self.given = np.empty(0, np.bool_)
         self.images: Float32 | None = None
         self.considered = 0
+        self.other_colors: bool | None = None
 
     def __len__(self) -> int:
         return len(self.x)

@@ -10,8 +10,8 @@ Where regions are wide and flat a blur hides what counts.  So the first candidat
 parameters follow better from blurred images than from sharp ones, by a linear model that has not
 seen them, a search from a random place that begins coarse is one of the moves from then on
 (`search.moves.Coarsen`), raced with the others.  If they follow much better, or if sharp features
-hardly agree with the losses, the first search begins again at once, coarse.  Elsewhere nothing
-changes.
+hardly agree with the losses, the first search begins again at once, coarse; where they agree even
+less, all searches are as patient as where the user asks for blurs.  Elsewhere nothing changes.
 
 A photograph needs it more often (``photo=True``).  Where its renders say what they draw, all
 searches begin coarse: at the blurs that leave enough of the renders' contrast, since a board of
@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fide_plugins.comparison.comparison import blurred
+from fide_plugins.comparison.blur import blurred
 from fide_plugins.runtime.schema import anything, array, check, each, flag, maybe, real, whole
 from fide_plugins.types import Float32, Float64
 from fide_plugins.views import Views
@@ -51,8 +51,9 @@ _JUDGED = (0.04, 0.08)  # blurs that are compared with sharp images, in sides of
 _SEEN = 36  # candidates that decide
 _SIDE = 96  # pixels to which their images are reduced
 _LEAST_CONTRAST = 0.09  # of the variance of a sharp render, in what it covers
-_LEAST_RATIO, _LEAST_GAIN = 1.1, 0.05  # of the predictability, for blurs to be useful
+_LEAST = 1.1, 0.05  # ratio and gain of the predictability, for blurs to be useful
 _MUCH, _LITTLE = 1.6, 0.8  # such a ratio, or so little agreement: the first search begins again
+_HARDLY, _LEAST_IF_HARDLY = 0.7, (1.03, 0.02)  # less agreement, and then the same
 _RIDGES = np.geomspace(1e-4, 1.0, 7)
 
 
@@ -72,7 +73,7 @@ class ScaleSpace:
         self.blurs: tuple[float, ...] = BLURS
         """Of a search that begins coarse and those that follow it, in sides of the image."""
         self.asked = at_once and possible
-        """Whether all searches are as patient as pictures need that no render equals."""
+        """Whether all searches are as patient as pictures need that no render resembles."""
         self._side = min(min(view.size) for view in views.views)
         self.useful: bool | None = (at_once or None) if possible else False
         """None: the first candidates have not decided."""
@@ -124,7 +125,10 @@ class ScaleSpace:
         X = np.array([x for _, x, _ in seen])
         scores = [predictability(_flat(seen, blur), X) for blur in (0.0, *_JUDGED)]
         sharp, best = scores[0], max(scores)
-        self.useful = best >= _LEAST_RATIO * sharp and best - sharp >= _LEAST_GAIN
+        hardly = agreement < _HARDLY and not self._photo
+        ratio, gain = _LEAST_IF_HARDLY if hardly else _LEAST
+        self.useful = best >= ratio * sharp and best - sharp >= gain
+        self.asked = self.useful and hardly
         self._seen = []
         if not self.useful or not (best >= _MUCH * sharp or agreement < _LITTLE):
             return None

@@ -20,7 +20,7 @@ __all__ = ["LearnProgress", "Model", "Report", "learn"]
 if not TYPE_CHECKING:  # a process that renders needs no PyTorch
 
     def __getattr__(name: str) -> Any:
-        """Import the class or function `name` the first time somebody asks for it (PEP 562)."""
+        """Import `name` the first time somebody asks for it (PEP 562)."""
         if name not in _PLACES:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         value = getattr(import_module(f"{__name__}.{_PLACES[name]}"), name)

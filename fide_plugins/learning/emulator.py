@@ -109,16 +109,10 @@ class Emulator(Trainable):
     def errors_of_many(self, images: Tensor, u: Tensor, places: Tensor) -> Tensor:
         """As `errors`, in parts: memory does not grow with the number of points and places."""
         numbers = 6 * _WIDTH + (2 * _SUMMED + _HEADS) * len(self.blocks)  # of one place
-        at_once = max(1, _NUMBERS // numbers)  # places of all points
-        points = max(1, at_once // len(places))
-        errors = []
-        for some, at in zip(
-            torch.split(images.expand(len(u), -1, -1, -1), points),
-            torch.split(u, points),
-            strict=True,
-        ):
-            parts = torch.split(places, at_once)
-            sums = [self.errors(some, at, part) * len(part) for part in parts]
+        parts, errors = torch.split(places, max(1, _NUMBERS // numbers)), []
+        pairs = zip(images.expand(len(u), -1, -1, -1), u, strict=True)
+        for image, at in ((image[None], at[None]) for image, at in pairs):
+            sums = [self.errors(image, at, part) * len(part) for part in parts]
             errors.append(torch.stack(sums).sum(dim=0) / len(places))
         return torch.cat(errors)
 

@@ -52,13 +52,13 @@ def posterior_of(
     if learned is None:
         return None
     learned.check_space(space)
-    if isinstance(target, list):
-        if len(target) > 1:
-            raise OptionError(
-                f"a learned model knows one picture of each scene, and the target has "
-                f"{len(target)} views: leave out learned, or fit the view it was learned from alone"
-            )
-        target = target[0]
+    views = target if isinstance(target, list) else [target]
+    if len(views) > 1:
+        raise OptionError(
+            f"a learned model knows one picture of each scene, and the target has {len(views)} "
+            "views: leave out learned, or fit the view it was learned from alone"
+        )
+    (target,) = views
     far = learned.unfamiliarity(target)
     if far > 1:
         warn_user(

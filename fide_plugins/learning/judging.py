@@ -318,14 +318,9 @@ def matched(
 
 
 def report_of(
-    network: Network,
-    training: Training,
-    names: Sequence[str],
-    *,
-    failed: int,
-    emulated: float | None,
-    on_picture: Callable[[int, int], None],
-) -> Report:
+    network: Network, training: Training, names: Sequence[str], *,
+    failed: int, emulated: float | None, on_picture: Callable[[int, int], None],
+) -> Report:  # fmt: skip
     """Calibrate the network, which its training has left, and judge it on held-out renders.
 
     names: (d,), of the axes.  failed: renders that failed.  emulated: see `Report`.
@@ -338,29 +333,19 @@ def report_of(
     network.scale = fitted_scale(network, x[fit], images, seed)
     images = training.shown(np.flatnonzero(judges))
     return Report(
-        renders=int((~aside).sum()),
-        failed=failed,
-        held_out=int(aside.sum()),
-        seconds=training.spent,
-        curve=tuple((a, b, c) for a, b, c in training.curve),
-        augment=training.augment,
-        scale=network.scale,
-        fitted=int(fit.sum()),
-        emulated=emulated,
+        renders=int((~aside).sum()), failed=failed, held_out=int(aside.sum()),
+        seconds=training.spent, curve=tuple((a, b, c) for a, b, c in training.curve),
+        augment=training.augment, scale=network.scale, fitted=int(fit.sum()), emulated=emulated,
         clutter=None if training.clutter is None else training.clutter.name,
         **_judged(network, x[judges], images, names, seed, on_picture),
-    )
+    )  # fmt: skip
 
 
 @torch.no_grad()
 def _judged(
-    network: Network,
-    x: Float64,
-    images: Pixels,
-    names: Sequence[str],
-    seed: int,
+    network: Network, x: Float64, images: Pixels, names: Sequence[str], seed: int,
     on_picture: Callable[[int, int], None],
-) -> dict[str, Any]:
+) -> dict[str, Any]:  # fmt: skip
     """Those fields of `Report` that renders measure, x (n, d) and images (n, H, W, 3)."""
     periodic, blocks = network.periodic, np.array(network.blocks, np.intp)
     u = torch.from_numpy(x.astype(np.float32))

@@ -155,10 +155,10 @@ class Model:
         Raises OptionError without an emulator, and what `sample` raises.
         """
         if self.emulator is None:
-            remedy = "learn it with emulator=True"
-            if not self.blocks:
-                remedy = "one needs exchangeable blocks, and this model has none"
-            raise OptionError(f"the model of {self.renderer!r} has no emulator: {remedy}")
+            raise OptionError(
+                f"the model of {self.renderer!r} has no emulator: learn it with emulator=True, "
+                "which needs exchangeable blocks"
+            )
         points = torch.from_numpy(as_points(X, self.dim).astype(np.float32))
         if not len(points):
             raise OptionError("X has no points: give at least one, where descents begin")
@@ -205,38 +205,28 @@ class Model:
         if not isinstance(space, Space) or self.space is None:
             return
         old, new = _without_units(self.space), _without_units(space)
-        if list(old.items()) == list(new.items()):
-            return
-        different = [
-            f"{name!r} is {old.get(name, 'missing')} in the model and {new.get(name, 'missing')} "
-            "here"
-            for name in dict.fromkeys([*old, *new])
-            if old.get(name) != new.get(name)
-        ]
-        why = different[0] if different else "the parameters come in another order"
-        raise OptionError(f"the model of {self.renderer!r} is of another space: {why}")
+        why = "the parameters come in another order"
+        for name in [*new, *old]:
+            if old.get(name) != new.get(name):
+                there, here = old.get(name, "missing"), new.get(name, "missing")
+                why = f"{name!r} is {there} in the model and {here} here"
+        if list(old.items()) != list(new.items()):
+            raise OptionError(f"the model of {self.renderer!r} is of another space: {why}")
 
     # -- files -------------------------------------------------------------------------------------
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the model into the file `path`, without pickle; raises OSError if that fails."""
+        same = {name: getattr(self, name) for name in ("dim", "renderer", "version", "fingerprint")}
         state = {
-            "dim": self.dim,
             "space": None if self.space is None else self.space.to_dict(),
-            "shape": list(self.shape),
-            "size": list(self.size),
-            "renderer": self.renderer,
-            "version": self.version,
-            "fingerprint": self.fingerprint,
-            "periodic": list(self.network.periodic),
-            "blocks": [list(block) for block in self.blocks],
-            "weights": dict(self.network.state_dict()),
+            "shape": list(self.shape), "size": list(self.size),
+            "periodic": list(self.network.periodic), "blocks": [list(one) for one in self.blocks],
+            "weights": dict(self.network.state_dict()), "scale": self.network.scale,
             "emulator": None if self.emulator is None else dict(self.emulator.state_dict()),
-            "scale": self.network.scale,
-            "familiarity": asdict(self.familiarity),
-            "report": asdict(self.report),
-        }
-        checkpoint.write(path, _KIND, state)
+            "familiarity": asdict(self.familiarity), "report": asdict(self.report),
+        }  # fmt: skip
+        checkpoint.write(path, _KIND, same | state)
 
     @classmethod
     @torch.inference_mode(False)  # weights that are made in it have no gradients anywhere
@@ -278,17 +268,12 @@ class Model:
             k: tuple(v) if isinstance(v, list) else v for k, v in state["report"].items()
         }
         report["curve"] = tuple(tuple(row) for row in report["curve"])
+        space = None if state["space"] is None else Space.from_dict(state["space"])
         model = cls(
-            network=network,
-            space=None if state["space"] is None else Space.from_dict(state["space"]),
-            shape=(height, width),
-            renderer=state["renderer"],
-            version=state["version"],
-            familiarity=Familiarity(**state["familiarity"]),
-            report=Report(**report),
-            fingerprint=state["fingerprint"],
-            emulator=emulator,
-        )
+            network=network, space=space, shape=(height, width), renderer=state["renderer"],
+            version=state["version"], familiarity=Familiarity(**state["familiarity"]),
+            report=Report(**report), fingerprint=state["fingerprint"], emulator=emulator,
+        )  # fmt: skip
         str(model.report)  # raises for one that says nothing
         gray = torch.full((1, 3, h, w), 0.5, dtype=torch.float32)  # whatever the default is
         of_gray = network.vectors(gray), network.sample(gray, 1, torch.Generator())

@@ -99,8 +99,8 @@ class Training:
 
     def run(
         self,
-        on_pass: OnPass | None = None,
-        save: Callable[[dict[str, Any]], None] | None = None,
+        on_pass: OnPass = lambda passed, loss: None,
+        save: Callable[[dict[str, Any]], None] = lambda state: None,
     ) -> None:
         """Train until the passes or the seconds are over, or nothing improves.
 
@@ -117,10 +117,8 @@ class Training:
             self.spent += time.monotonic() - start
             if test < self.best:
                 self.best, self._best_weights = test, _copy(self.network)
-            if save is not None:
-                save(self.state_dict())
-            if on_pass is not None:
-                on_pass(self.passed, test)
+            save(self.state_dict())
+            on_pass(self.passed, test)
         self.network.load_state_dict(self._best_weights)
 
     @property
@@ -231,11 +229,7 @@ class Training:
         """Everything that changes, as nested dicts of arrays and numbers."""
         moments = self._optimizer.state_dict()["state"]
         return {
-            "passed": self.passed,
-            "spent": self.spent,
-            "over": self.over,
-            "curve": self.curve,
-            "best": self.best,
+            **{name: getattr(self, name) for name in ("passed", "spent", "over", "curve", "best")},
             "weights": _copy(self.network),
             "best_weights": self._best_weights,
             "moments": {str(i): dict(entry) for i, entry in moments.items()},

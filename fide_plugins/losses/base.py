@@ -70,6 +70,8 @@ class LossOfTarget(ABC):
     """Name from which `losses.make` makes the same loss; None if it was made with options."""
     weighs_pixels: bool = False
     """Whether its argument and attribute `weights` are those of pixels, (H, W) or None."""
+    of_places: bool = True
+    """Whether it compares what is at the same place; then light and clutter can be set aside."""
 
     def __init__(self, target: object) -> None:
         self.target = as_target(target)

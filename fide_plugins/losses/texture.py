@@ -73,6 +73,7 @@ class TextureLoss(LossOfTarget):
 
     name = "texture"
     version = "texture-1"
+    of_places = False
 
     def __init__(self, target: object) -> None:
         super().__init__(target)

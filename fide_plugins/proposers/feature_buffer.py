@@ -117,7 +117,8 @@ class FeatureBuffer(Stateful):
         """Features (m, f) of deviations (m, T, C): those of the tokens in use."""
         if not self.used.all():
             deviations = np.ascontiguousarray(deviations[:, self.used])
-        return deviations.reshape(len(deviations), int(np.prod(deviations.shape[1:])))
+        n, tokens, channels = deviations.shape
+        return deviations.reshape(n, tokens * channels)
 
     def _leave_out(self) -> None:
         """Use those tokens no more that vary in none of the images, if they are not just a few."""

@@ -89,6 +89,7 @@ class LossOfViews:
         self.views, self._each, self.spec = views, each, spec
         self.name, version = each[0].name, each[0].version
         self.version = None if version is None else version + views.version
+        self.of_places = all(getattr(one, "of_places", True) for one in each)
 
     def __call__(self, images: object) -> Float64:
         """Losses (n,) of images, as `FIDE.tell` takes them."""

@@ -11,7 +11,8 @@ import pytest
 
 from fide_plugins import FIDE, fit
 from fide_plugins.cli.fit_command import add_arguments
-from fide_plugins.comparison.comparison import blurred
+from fide_plugins.comparison.auto import has_other_colors
+from fide_plugins.comparison.blur import blurred
 from fide_plugins.comparison.light import fit_light
 from fide_plugins.comparison.mismatch import explanation
 from fide_plugins.errors import ImageError, OptionError
@@ -47,8 +48,8 @@ def shaded(image: Image) -> Image:
     return np.asarray(image * field[..., None], np.float32)
 
 
-def evaluator(target: Image, **options: Any) -> Evaluator:
-    return Evaluator(target, None, "dense", **options)
+def evaluator(target: Image, loss: str | None = None, **options: Any) -> Evaluator:
+    return Evaluator(target, loss, "dense", **options)
 
 
 def losses(made: Evaluator, images: Any) -> npt.NDArray[np.float64]:
@@ -221,6 +222,23 @@ def test_auto_adjusts_the_light_where_it_differs_and_finds_the_answer() -> None:
     np.testing.assert_allclose(optimizer.adjust(image[None])[0], optimizer.target, atol=0.1)
 
 
+def test_auto_sets_no_light_aside_where_renders_have_the_colors_of_the_target() -> None:
+    """A gray that is a parameter explains another exposure, and so do lines that are nowhere."""
+    grays = [np.full((8, 8, 3), gray, np.float32) for gray in np.linspace(0.4, 0.7, 12)]
+    assert not has_other_colors(grays[0] + np.float32(0.1), grays)
+    assert has_other_colors(grays[0] * 0, grays)
+    assert has_other_colors(grays[0], grays[:2])  # too few
+    moved = [render(x) for x in np.random.default_rng(0).random((12, 2))]
+    assert not has_other_colors(render(TRUE), moved)
+    assert has_other_colors(exposed(render(TRUE)), moved)
+
+
+def test_a_texture_has_no_place_and_nothing_is_set_aside() -> None:
+    made = evaluator(render(TRUE), loss="texture", photo=True)
+    assert made.comparison is not None and made.comparison.scale is None
+    assert not made.adapts_light
+
+
 def test_auto_leaves_a_clean_picture_as_it_is() -> None:
     optimizer = fitted(render(TRUE), 120, photometric="auto")
     assert optimizer.state.comparisons == 0
@@ -319,3 +337,14 @@ def test_command_line_takes_the_options() -> None:
     assert (args.photo, args.robust, args.photometric) == (True, "auto", "exposure")
     args = parser.parse_args(["a.png", "--renderer", "a.py:f", "--robust", "0.2"])
     assert (args.photo, args.robust, args.background) == (None, 0.2, None)
+
+
+@pytest.mark.parametrize(("blur", "found"), [(0.0, 0.0), (1.0, 1.0)])
+def test_renders_are_as_soft_as_a_camera_makes_the_target(blur: float, found: float) -> None:
+    target = blurred(render(TRUE), blur)
+    optimizer = fitted(target, 60, photo=True)
+    comparison = optimizer.evaluator.comparison
+    assert comparison is not None and comparison.camera == pytest.approx(found, abs=0.4)
+    one, other = losses(optimizer.evaluator, [render(TRUE), blurred(render(TRUE), 1.5)])
+    assert one < 1e-3 and one < other
+    assert optimizer.residual.mean() < 0.05

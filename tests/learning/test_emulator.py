@@ -172,8 +172,6 @@ def test_without_an_emulator_nothing_is_refined(model: Model) -> None:
     assert not without.emulates
     with pytest.raises(OptionError, match="has no emulator: learn it with emulator=True"):
         without.refined(lights(np.full(6, 0.3)), np.full((1, 6), 0.5))
-    with pytest.raises(OptionError, match="has no emulator: one needs exchangeable blocks, and"):
-        learn(lights, 6, renders=100, size=SIDE, passes=1).refined(lights(np.full(6, 0.3)), [])
 
 
 @pytest.mark.thorough

@@ -37,9 +37,8 @@ def same(a: Any, b: Any) -> bool:
             and a.tobytes() == b.tobytes()
         )
     if isinstance(a, float):
-        return type(b) is float and (
-            np.isnan([a, b]).all() or struct.pack("d", a) == struct.pack("d", b)
-        )
+        nans = type(b) is float and a != a and b != b
+        return nans or (type(b) is float and struct.pack("d", a) == struct.pack("d", b))
     if isinstance(a, dict):
         return isinstance(b, dict) and list(a) == list(b) and all(same(a[k], b[k]) for k in a)
     if isinstance(a, list):

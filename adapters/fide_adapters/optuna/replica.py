@@ -6,6 +6,7 @@ has a name, (generation, slot), that means the same to everybody.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Mapping
 from enum import StrEnum
 from typing import Any
@@ -16,6 +17,7 @@ from torch import Tensor
 from fide_plugins.evaluation import Evaluation
 from fide_plugins.fide import FIDE
 from fide_plugins.population import Candidate, CandidateRole, Population
+from fide_plugins.population.candidate import columns
 from fide_plugins.runtime.machine import timed
 from fide_plugins.saving import as_arrays
 from fide_plugins.search.moves import Stage
@@ -92,6 +94,38 @@ class Replica:
     def _own(self, slot: int) -> int:
         """Slot within the generation of the same candidate, if it needs just its own."""
         return slot % self.size if self.optimizer.state.generation_is_fixed else slot
+
+    def newest(self, slot: int, out: int) -> Candidate:
+        """Better one than the candidate in that slot, if the generation does not need that.
+
+        out: entries that are still to be told; with these and those told the generation may be
+            complete, and then what is asked now is for the next one (`State.preview_search`).
+        """
+        if slot >= self.size <= self._population.evaluated + out:
+            key = (self.generation, slot, 1)  # never that of `candidate`
+            seed = np.random.SeedSequence(self.optimizer.seed, spawn_key=key)
+            preview = self._preview(np.random.default_rng(seed))
+            if preview is not None:
+                return preview
+        return self.candidate(slot)
+
+    def _preview(self, rng: np.random.Generator) -> Candidate | None:
+        """One candidate of search and proposer as they would be updated now; None: neither."""
+        state = self.optimizer.state
+        search, proposer = state.preview_search(), state.proposer
+        if search is None:
+            return None
+        if proposer is not None and proposer.lazy and state.samples:
+            proposer = copy.copy(proposer)
+            proposer.update(*columns(state.samples), state.search.std)
+        x, z = search.sample(1, rng)  # (1, d)
+        index, proposed = state.population.drawn, False
+        if proposer is not None and proposer.ready and rng.random() < state.gate.proposed:
+            v, target = search.stretched(z), self.optimizer.target_tokens
+            made = proposer.propose(v, target, search.mean, search.std, rng)
+            x, proposed = search.place_proposals(made, z), True
+            z = search.closest(x)
+        return Candidate(index, x[0], z[0], proposed=proposed, off_distribution=True)
 
     def is_candidate(self, slot: int, x: Float64) -> bool:
         """Whether x (d,) is what becomes of the candidate in that slot."""

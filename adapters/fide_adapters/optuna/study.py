@@ -156,10 +156,12 @@ class StudyOptimizer:
             self.process(trials, evaluate)
         return skipped
 
-    def ask(self, number: int, skipped: list[int], late: list[int]) -> tuple[Ask, dict[str, Any]]:
+    def ask(
+        self, trials: Trials, number: int, skipped: list[int], late: list[int]
+    ) -> tuple[Ask, dict[str, Any]]:
         """Record and parameters of trial `number`."""
         slot = number - self._first if number >= self._first else _EARLIER + number
-        candidate = self.replica.candidate(slot)
+        candidate = self.replica.newest(slot, self._order.pending(trials, number))
         ask = Ask(
             optimizer=self.digest,
             generation=self.replica.generation,
@@ -296,7 +298,7 @@ class StudyState:
             )
         self._release_features(optimizer)
         late = [n for n in self._history.uncounted(self._trials) if n < trial.number]
-        ask, params = optimizer.ask(trial.number, skipped, late)
+        ask, params = optimizer.ask(self._trials, trial.number, skipped, late)
         ask = replace(ask, problem=self._settings.problem)
         storage.write_ask(storage.storage_of(study), trial, ask)
         return params

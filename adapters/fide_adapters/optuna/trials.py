@@ -163,9 +163,17 @@ class TrialOrder:
         skipped = number in self._history.skipped and number not in self._counted_late
         return number < self.next and not skipped
 
+    def _ahead(self, trials: Trials) -> list[FrozenTrial]:
+        return [t for t in trials[self.next :] if t.number not in self._history.skipped]
+
+    def pending(self, trials: Trials, number: int) -> int:
+        """How many trials before `number` are still to be processed, as far as is known."""
+        countable = (TrialState.RUNNING, TrialState.COMPLETE)
+        return sum(t.state in countable for t in self._ahead(trials[:number]))
+
     def overdue(self, trials: Trials, generation: int) -> list[int]:
         """Unfinished trials, next in the order, not worth waiting for; generation: its size."""
-        ahead = [t for t in trials[self.next :] if t.number not in self._history.skipped]
+        ahead = self._ahead(trials)
         completed = [trial for trial in ahead if trial.state is TrialState.COMPLETE]
         if len(completed) < generation or ahead[0].state.is_finished():
             return []

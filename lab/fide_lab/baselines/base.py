@@ -14,6 +14,7 @@ library's inner state has to be stored, and networks are trained again.
 
 from __future__ import annotations
 
+import inspect
 import sys
 import warnings
 from abc import abstractmethod
@@ -91,8 +92,6 @@ class Baseline(Saved):
     DeviceError for a device that this machine does not have.
     """
 
-    own_options: ClassVar[tuple[str, ...]] = ()
-    """Arguments of a subclass's constructor that are attributes, beside those of its bases."""
     more_options: ClassVar[tuple[str, ...]] = ()
     """Arguments of its constructor that it takes by ``**options``."""
     resumable: bool = True
@@ -253,11 +252,13 @@ class Baseline(Saved):
     # -- saving: see `saving.Saved` ---------------------------------------------------------------
 
     def settings(self) -> dict[str, Any]:
-        """Arguments of the constructor, by name, but for `loss` and `device`."""
-        common = {"dim": self.dim, "target": self.target, "popsize": self.popsize}
-        names = [name for kind in type(self).__mro__ for name in vars(kind).get("own_options", ())]
-        own = {name: getattr(self, name) for name in names}
-        return {**common, "sigma0": self.sigma0, "seed": self.seed, **own}
+        """Keyword arguments of the constructors, which are attributes, but `loss` and `device`."""
+        every = (vars(kind).get("__init__") for kind in type(self).__mro__)
+        inits = [init for init in every if init is not None]
+        named = (p for init in inits for p in inspect.signature(init).parameters.values())
+        names = {p.name for p in named if p.kind is p.KEYWORD_ONLY} - {"loss", "device"}
+        own = {name: getattr(self, name) for name in sorted(names)}
+        return {"dim": self.dim, "target": self.target, **own}
 
     @property
     def loss_name(self) -> str | None:
@@ -360,8 +361,6 @@ class ImageBased(Baseline):
     Raises OptionError, ImageError without a target (ValueErrors), or what
     `fide_plugins.encoders.make` raises.
     """
-
-    own_options: ClassVar[tuple[str, ...]] = ("encoder", "channels")
 
     def __init__(
         self,

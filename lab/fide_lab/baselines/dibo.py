@@ -420,7 +420,6 @@ class DiBO(Baseline):
     """
 
     name: ClassVar[str] = "dibo"
-    own_options = ("initial", "buffer", "precision")
     more_options = tuple(option.name for option in fields(RoundOptions))
 
     def __init__(

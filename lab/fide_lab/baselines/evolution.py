@@ -116,7 +116,7 @@ class CMA(Baseline):
 
     def settings(self) -> dict[str, Any]:
         """Arguments of the constructor, by name, but for `loss` and `device`."""
-        return {**super().settings(), "restarts": self.restarts, "popsize": self._first_popsize}
+        return {**super().settings(), "popsize": self._first_popsize}
 
 
 def _finite(losses: Float64) -> Float64:

@@ -168,7 +168,6 @@ class Inverse(ImageBased):
 
     name: ClassVar[str] = "inverse"
     resumable = False
-    own_options = ("budget", "share", "epochs", "batch_size", "width", "blocks")
 
     def __init__(
         self,
@@ -241,7 +240,6 @@ class EKI(ImageBased):
     """
 
     name: ClassVar[str] = "eki"
-    own_options = ("patience",)
 
     def __init__(
         self,
@@ -371,7 +369,6 @@ class FIDEAnnealing(ImageBased, Sequential):
 
     name: ClassVar[str] = "fide-annealing"
     resumable = False
-    own_options = ("samples", "epochs", "step")
 
     def __init__(
         self,

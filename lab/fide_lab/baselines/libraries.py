@@ -212,7 +212,6 @@ class DualAnnealing(Sequential):
     """
 
     name: ClassVar[str] = "dual-annealing"
-    own_options = ("step",)
 
     def __init__(
         self, dim: int, target: object = None, *, step: float | None = None, **options: Any
@@ -271,7 +270,6 @@ class DFOLS(ImageBased, Sequential):
     """
 
     name: ClassVar[str] = "dfols"
-    own_options = ("radius",)
 
     def __init__(
         self,
@@ -329,7 +327,6 @@ class Framework(Baseline):
 
     method: ClassVar[str]
     """Name in the framework."""
-    own_options = ("budget",)
 
     def __init__(
         self, dim: int, target: object = None, *, budget: int = 10_000, **options: Any

@@ -99,7 +99,6 @@ class ZeroGrads(Baseline):
     """
 
     name: ClassVar[str] = "zerograds"
-    own_options = ("batch", "learning_rate", "proxy_rate")
 
     def __init__(
         self,

@@ -165,14 +165,7 @@ class Run:
 
         Raises PointsError (a ValueError) if it breaks the protocol.
         """
-        try:
-            points = as_points(self.optimizer.ask_ready(), self.settings["dim"])
-            if len(points) == 0:
-                raise PointsError("there must be at least one")
-        except PointsError as error:
-            raise PointsError(
-                f"{self.settings['optimizer']} asked for impossible candidates: {error}"
-            ) from error
+        points = self._points(self.optimizer.ask_ready(), "asked for impossible candidates")
         return points
 
     def tell(self, X: Float64, images: Any) -> bool:
@@ -258,7 +251,10 @@ class Run:
 
     def _judge(self) -> Verdict:
         r, reference = self.record, self._info.reference
-        recommended = None if r.x_best is None else self._recommended()
+        recommended = None
+        if r.x_best is not None:
+            said = np.asarray(self.optimizer.recommend())[None]
+            recommended = np.asarray(self._points(said, "recommended an impossible point")[0])
         try:
             verdict = judge(
                 reference, self.target, self.loss, r.x_best, r.image, recommended, self._metrics
@@ -274,14 +270,15 @@ class Run:
                 f"{self.settings['task']} failed to judge the result: {error!r}"
             ) from error
 
-    def _recommended(self) -> Float64:
-        point = self.optimizer.recommend()
+    def _points(self, given: Any, what: str) -> Float64:
+        """Points (n, dim) of the optimizer, checked; what: it did, where they are none."""
         try:
-            return np.asarray(as_points(np.asarray(point)[None], self.settings["dim"])[0])
+            points = as_points(given, self.settings["dim"])
+            if len(points) == 0:
+                raise PointsError("there must be at least one")
         except PointsError as error:
-            raise PointsError(
-                f"{self.settings['optimizer']} recommended an impossible point: {error}"
-            ) from error
+            raise PointsError(f"{self.settings['optimizer']} {what}: {error}") from error
+        return points
 
     def _result(self, verdict: Verdict) -> RunResult:
         return result_of(

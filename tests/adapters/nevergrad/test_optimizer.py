@@ -127,22 +127,6 @@ def test_point_23_failures_rank_last_and_teach_nothing(loss: float) -> None:
         assert np.isfinite(optimizer.ask().value).all()
 
 
-def test_point_23_an_objective_that_fails_can_be_mended() -> None:
-    """Nevergrad raises it; after that the search goes on, without that candidate."""
-    optimizer, broken = fide(budget=20), [True]
-
-    def sometimes(x: Any) -> Any:
-        if broken[0] and optimizer.num_tell == 10:
-            raise RuntimeError("the renderer failed")
-        return objective(x)
-
-    with pytest.raises(RuntimeError, match="the renderer failed"):
-        optimizer.minimize(sometimes)
-    broken[0] = False
-    optimizer.minimize(sometimes)
-    assert optimizer.num_tell == optimizer.num_images == 19
-
-
 def test_another_target_keeps_the_mask() -> None:
     mask = np.zeros(TARGET.shape[:2], np.float32)
     mask[4:] = 1

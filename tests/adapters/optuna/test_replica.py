@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Callable
 from typing import Any, TypeAlias
 
@@ -146,19 +145,6 @@ def test_what_was_asked_in_an_earlier_search_is_an_injected_candidate(bench: Ben
         for slot in range(replica.size):
             bench.told(replica, slot)
     assert replica.tell(before, *bench.look(before), generation=0, slot=0) is Role.INJECTED
-
-
-def test_it_goes_on_after_a_copy_through_bytes(bench: Bench) -> None:
-    replica = Replica(bench.optimizer())
-    run(bench, replica, 150)
-    for slot in (0, 30, 4):
-        bench.told(replica, slot)
-    state = pickle.loads(pickle.dumps(replica.state_dict()))
-    restored = Replica.from_state(bench.optimizer(), state)
-    rest = run(bench, replica, 60, first=50)
-    again = run(bench, restored, 60, first=50)
-    assert [g for g, _ in rest] == [g for g, _ in again]
-    np.testing.assert_array_equal([x for _, x in rest], [x for _, x in again])
 
 
 def test_what_is_refused_changes_nothing(bench: Bench) -> None:

@@ -32,23 +32,6 @@ def test_point_11_conditional_parameters(bench: Bench) -> None:
     assert study.best_value < 0.3
 
 
-def test_point_11_where_all_ranges_have_changed_a_line_in_the_log_says_what_to_do(
-    bench: Bench, caplog: pytest.LogCaptureFixture
-) -> None:
-    study = optuna.create_study(sampler=bench.sampler())
-    study.optimize(lambda trial: trial.suggest_float("x0", 0.0, 2.0), n_trials=3)
-    bench.run(study, 5)
-    (message,) = [record.message for record in caplog.records]
-    assert "no parameter in common" in message and "search_space=" in message
-    later = optuna.load_study(
-        study_name=study.study_name,
-        storage=study._storage,
-        sampler=bench.sampler(search_space=bench.space),
-    )
-    bench.run(later, 12)
-    assert counts_of(later)["member"] >= 12
-
-
 # -- points 12 and 13: directions, constraints -----------------------------------------------------
 
 

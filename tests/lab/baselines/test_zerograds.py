@@ -75,15 +75,6 @@ def test_smoothing_moves_what_is_rendered_and_not_what_is_learned() -> None:
     np.testing.assert_allclose(learned.std(), 0.05, rtol=0.05)
 
 
-def test_it_goes_downhill_and_stays_in_the_box() -> None:
-    opt = ZeroGrads(4, seed=0, learning_rate=5e-3)
-    while opt.evaluations < 2000:
-        X = opt.ask()
-        assert X.min() >= 0.0 and X.max() <= 1.0
-        opt.tell(X, losses=valley(X))
-    assert valley(opt.recommend()[None])[0] < 0.12 < valley(np.full((1, 4), 0.5))[0] / 3
-
-
 @pytest.mark.parametrize(
     "options",
     [

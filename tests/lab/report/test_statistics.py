@@ -48,15 +48,6 @@ def test_a_band_begins_where_all_have_begun_and_ends_with_the_median_run() -> No
     assert len(bands([curve([], [], 10)], "renders").x) == 0
 
 
-def test_a_run_without_a_loss_is_an_infinite_one_of_a_band() -> None:
-    runs, never = [curve([1, 3], [1.0, 0.5], 10)] * 4, curve([], [], 10)
-    found = bands([*runs, never], "renders")
-    assert found.x[0] == 1 and found.x[-1] == 10
-    for values in (found.values, bands(runs, "renders", failed=1).values):
-        assert values[2, -1] == 0.5 and values[3, -1] == 0.5 and values[4, -1] == np.inf
-    assert np.isinf(bands(runs[:1], "renders", failed=2).values[2]).all()
-
-
 def test_quantiles_take_infinity_for_the_highest_value() -> None:
     np.testing.assert_array_equal(quantiles([1, 2, np.inf], [0, 0.5, 1]), [1, 2, np.inf])
     np.testing.assert_array_equal(quantiles([1, np.inf, np.inf], [0.5]), [np.inf])

@@ -7,12 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from fide_lab import run as harness
 from fide_lab.run.kept_target import same_target
-from fide_lab.run.prepare import make_task
-from fide_lab.run.task import source_of_target
 from fide_plugins.errors import CheckpointError
 from fide_plugins.recording.storage import RunDirectoryError
 
@@ -109,20 +106,3 @@ def test_a_noisy_function_renders_its_target_once(
     assert len(Path("renders").read_text().splitlines()) == 1 + 20
     with pytest.raises(RunDirectoryError, match="task_seed is 0 there and 3 here"):
         harness.run("scene.py:render", "cma", budget=20, out="run", resume=True, task_seed=3)
-
-
-def test_of_a_picture_a_program_or_a_scene_nobody_knows_the_source(tmp_path: Path) -> None:
-    (tmp_path / "scene.py").write_text(SCENE)
-    (tmp_path / "space.toml").write_text('[x]\ntype = "float"\nlow = 0.0\nhigh = 1.0\n')
-    name, space = f"{tmp_path / 'scene.py'}:render", str(tmp_path / "space.toml")
-    picture = tmp_path / "picture.png"
-    Image.new("L", (8, 8), 99).save(picture)
-    function = make_task(name, 8, 0, {})
-    program = make_task("disk", 8, 0, {"command": "python disk.py {x} {out}", "space": space})
-    assert source_of_target(function) != source_of_target(make_task(name, 8, 1, {})) is not None
-    for task in (
-        make_task(name, 8, 0, {"target": str(picture)}),
-        program,
-        make_task("voronoi", 8, 0, {}),
-    ):
-        assert source_of_target(task) is None

@@ -47,7 +47,8 @@ class Problem(BaseProblem):
     def render(self, params: dict[str, Any]) -> np.ndarray:
         """The image (H, W, 3) of these parameters, for samplers that look at images."""
         x = np.array([[params[name] for name in self.search_space]])
-        return np.asarray(self._task.render(x))[0]
+        image: np.ndarray = np.asarray(self._task.render(x))[0]
+        return image
 
     def evaluate(self, params: dict[str, Any]) -> float:
         return float(self._loss(self.render(params)[None])[0])
