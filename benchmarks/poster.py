@@ -57,14 +57,14 @@ def corners(p: Mapping[str, float]) -> NDArray[np.float64]:
     away = 1 + _BOX @ [p["across"], p["down"]]
     flat = p["size"] * _BOX @ (np.array([[c, -s], [s, c]]) @ bend).T / away[:, None]
     middle = np.array([WIDTH * p["x"] + WIDTH / 2, WIDTH * p["y"] + HEIGHT / 2])
-    return middle + WIDTH * flat
+    return np.asarray(middle + WIDTH * flat)
 
 
 def draw(p: Mapping[str, float]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """The picture, and what it covers."""
     height, width = _PICTURE.shape[:2]
     at = np.array([[0, 0], [width, 0], [width, height], [0, height]], np.float32)
-    M, size = cv2.getPerspectiveTransform(at, np.float32(corners(p))), (WIDTH, HEIGHT)
+    M, size = cv2.getPerspectiveTransform(at, corners(p).astype(np.float32)), (WIDTH, HEIGHT)
     cover = cv2.warpPerspective(np.ones((height, width), np.float32), M, size)
     image = cv2.warpPerspective(_PICTURE, M, size, borderMode=cv2.BORDER_REPLICATE)
     return np.clip(image, 0, 1), np.clip(cover, 0, 1)

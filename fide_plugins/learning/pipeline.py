@@ -344,12 +344,7 @@ def learn(
     _ = renderer.version  # raises for one that is no text
     shape, coverage = renderer.first_shape()
     if composed is not None and not coverage:
-        if backgrounds is not None:
-            raise OptionError(
-                "backgrounds need renders that say what they draw: return RGBA (H, W, 4), or the "
-                "image and its coverage (H, W) in [0, 1]; or give clutter=True without backgrounds"
-            )
-        composed = replace(composed, backgrounds=(), name="clutter without backgrounds")
+        composed = _without_coverage(composed, backgrounds)
     renderer = replace(renderer, shape=shape, coverage=composed is not None and coverage)
     if composed is not None and composed.changes:  # by more
         augment = "none"
@@ -365,6 +360,16 @@ def learn(
     if out is not None:
         model.save(out)
     return model
+
+
+def _without_coverage(clutter: Clutter, backgrounds: object) -> Clutter:
+    """The same without backgrounds; raises OptionError where backgrounds were asked for."""
+    if backgrounds is not None:
+        raise OptionError(
+            "backgrounds need renders that say what they draw: return RGBA (H, W, 4), or the image "
+            "and its coverage (H, W) in [0, 1]; or give clutter=True without backgrounds"
+        )
+    return replace(clutter, backgrounds=(), name="clutter without backgrounds")
 
 
 def _check(

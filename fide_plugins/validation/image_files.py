@@ -124,7 +124,7 @@ def _by_openexr(name: str) -> Float32:
             f"{name!r} has no channels R, G, B or Y of floats in its first part, but {found}: give "
             "the array, such as OpenEXR.File(path).channels()[NAME].pixels"
         )
-    pixels = colors.astype(np.float32)
+    pixels: Float32 = colors.astype(np.float32)
     if pixels.shape[2:] == (4,):  # a file has colors multiplied by their alpha
         alpha = pixels[..., 3:]
         with np.errstate(over="ignore", invalid="ignore"):

@@ -126,7 +126,7 @@ def standard_deviation(value: Any) -> float:
 def standard_deviations(value: Any, dim: int) -> float | Float64:
     """`value` as a float or as floats (dim,); OptionError unless all lie in [1e-16, 1]."""
     if not isinstance(value, list | tuple) and np.ndim(value) == 0:
-        return standard_deviation(value)
+        return standard_deviation(value.item() if hasattr(value, "item") else value)
     if len(value) != dim:
         raise OptionError(f"sigma0 must be one number or {dim}, not {value!r}")
     return np.array([standard_deviation(number) for number in value])

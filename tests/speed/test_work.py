@@ -28,12 +28,11 @@ BEGIN, END = 150, 600  # renders between which a run is watched; its buffers are
 MORE = 1.2
 
 # For one candidate: calls of functions, Python's and C's; thousands of n^3 of eigendecompositions
-# and of Cholesky's (n, n), while one search goes on; images that are encoded. Calls were 163 and
-# 183 before guesses, constraints and clipped values were looked for.
+# and of Cholesky's (n, n), while one search goes on; images that are encoded.
 WORK: dict[str, dict[str, float]] = {
     "fast": {"calls": 165, "eigen": 4.3, "factors": 6.2, "images": 1},
-    "balanced": {"calls": 185, "eigen": 4.3, "factors": 29, "images": 1},
-    "accurate": {"calls": 185, "eigen": 4.3, "factors": 29, "images": 1},
+    "balanced": {"calls": 153, "eigen": 4.3, "factors": 29, "images": 1},
+    "accurate": {"calls": 153, "eigen": 4.3, "factors": 29, "images": 1},
 }
 # Million floating-point operations, as published at 112: of training, for an example and an epoch;
 # of proposing, for a candidate.
