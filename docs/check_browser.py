@@ -22,8 +22,10 @@ SCREEN = {"width": 1280, "height": 900}
 CONTRAST = 4.5  # of text and background at least, as WCAG 2 asks (level AA)
 FILM_WAIT = 30_000  # ms until a film must have shown another frame; it changes ten times a second
 SEARCH_WAIT = 60_000  # ms until a search must have shown its results
-SEARCHES = {"noisy renderer": "howto/noise.html", "FIDESampler": "howto/optuna.html"}
-SEARCHES |= {"Mitsuba camera": "howto/mitsuba.html", "galaxies": "howto/astronomy.html"}
+SEARCHES = {
+    "noisy renderer": "howto/noise.html", "FIDESampler": "howto/optuna.html",
+    "Mitsuba camera": "howto/mitsuba.html", "galaxies": "howto/astronomy.html",
+}  # fmt: skip
 """Words that a reader may type, and a page that must be among the results."""
 
 _WIDTHS = "[document.documentElement.scrollWidth, window.innerWidth]"

