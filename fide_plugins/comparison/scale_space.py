@@ -39,8 +39,9 @@ __all__ = ["ScaleSpace", "predictability"]
 
 BLURS = (0.05, 0.025, 0.0125)
 """Standard deviations of one search after another, in sides of the image; then sharp."""
-WIDTHS = (0.6, 0.5, 0.4)
-"""Widest beginning of the searches that follow the first, of its beginning."""
+_PHOTO_BLURS = (0.08, *BLURS)  # where renders have a coverage, as far as they leave contrast
+WIDTHS = (0.6, 0.6, 0.5, 0.4)
+"""Widest beginning of the searches that follow the first, of its beginning; the last is sharp."""
 _REACH = 1 / 3  # of the blur in sides of the image, which the cube spans
 NEXT = 2.0  # times the spread of a search that is over: of the next one
 PATIENCE, IMPROVEMENT = 2, 1.0
@@ -140,9 +141,10 @@ class ScaleSpace:
     def _begin_photo(self, kept: Kept) -> bool:
         """Begin coarse with the blurs that leave enough contrast; returns whether one does."""
         self._seen, self.asked = [], True
-        left = [contrast(self._views, kept, share * self._side) for share in (0.0, *BLURS)]
+        left = [contrast(self._views, kept, share * self._side) for share in (0.0, *_PHOTO_BLURS)]
         enough = _LEAST_CONTRAST * left[0]
-        self.blurs = tuple(b for b, one in zip(BLURS, left[1:], strict=True) if one >= enough)
+        rest = zip(_PHOTO_BLURS, left[1:], strict=True)
+        self.blurs = tuple(blur for blur, one in rest if one >= enough)
         self.useful = bool(self.blurs)
         if self.useful:
             self.begin()
@@ -165,7 +167,7 @@ class ScaleSpace:
     def go_on(self) -> float:
         """Take the next blur; returns how wide the search with it may begin, of the first one."""
         del self.left[0]
-        return WIDTHS[len(BLURS) - 1 - len(self.left)]
+        return WIDTHS[-1 - len(self.left)]
 
     def end(self) -> None:
         """Compare sharp images from now on."""
@@ -188,8 +190,8 @@ class ScaleSpace:
         """Put back what `state_dict` gave; ValueError for what it cannot have given."""
         check(state, _SCHEMA, dict(sides), "scale space")
         self.useful, self.asked = state["useful"], state["asked"]
-        self.left = [one for one in BLURS if one in state["left"]]
-        self.blurs = tuple(one for one in BLURS if one in state["blurs"])
+        self.left = [one for one in _PHOTO_BLURS if one in state["left"]]
+        self.blurs = tuple(one for one in _PHOTO_BLURS if one in state["blurs"])
         self._seen = [
             (one["index"], one["x"].copy(), [each.copy() for each in one["images"]])
             for one in state["seen"]
