@@ -199,7 +199,14 @@ class Evaluator:
         """The same for renders of (h, w) pixels, of a named loss; None: of the target's size.
 
         The target is reduced to that size.  Both are enlarged, so that all else keeps its shape.
+
+        Raises LossError for a user's own loss, which knows the target's size only.
         """
+        if self.loss_name is None:
+            raise LossError(
+                f"renders smaller than the target need a named loss, not the object "
+                f"{self.loss.name!r}"
+            )
         small, views = None, self.full
         if size is not None:
             from fide_plugins.views.sizes import reduced, seen_at
