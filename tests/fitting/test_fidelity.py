@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fide_plugins import Fidelity, Float, Space, fit
-from fide_plugins.errors import OptionError
+from fide_plugins import FIDE, Fidelity, Float, Space, fit
+from fide_plugins.errors import LossError, OptionError
 from fide_plugins.fitting.callbacks import Event
 from fide_plugins.fitting.schedule import Schedule
 from fide_plugins.types import Float64
@@ -189,3 +189,9 @@ def test_a_fit_that_is_stopped_between_two_sizes_goes_on_there(
     )  # fmt: skip
     fine = [one[1:3] for one in asked]
     assert not begun and fine == sorted(fine) and result.evaluations == 200
+
+
+def test_a_smaller_target_is_for_a_named_loss(target: Float64) -> None:
+    optimizer = FIDE(3, target, loss=lambda images: np.zeros(len(images)))
+    with pytest.raises(LossError, match="named loss"):
+        optimizer.evaluator.at_size((8, 8))
