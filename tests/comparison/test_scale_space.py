@@ -161,26 +161,31 @@ def test_where_nothing_is_blurred(options: Any) -> None:
     assert opt.state.blur == 0 and opt.state.scales.useful is False
 
 
-def squares(x: Float64, side: int = 48) -> tuple[Float32, Float32]:
-    """A board of small squares at x (2,), and what it covers."""
+def squares(x: Float64, side: int = 48, across: int = 16) -> tuple[Float32, Float32]:
+    """A board of squares at x (2,), so many across the picture, and what it covers."""
     v, u = np.mgrid[0:side, 0:side] / side
     cover = ((abs(u - x[0]) < 0.3) & (abs(v - x[1]) < 0.3)).astype(np.float32)
-    black = (np.floor(16 * u) + np.floor(16 * v)) % 2
+    black = (np.floor(across * u) + np.floor(across * v)) % 2
     return np.repeat(black[..., None], 3, axis=2).astype(np.float32), cover
 
 
-@pytest.mark.parametrize("n", [1, 2])
-def test_of_a_photograph_blurs_that_leave_no_contrast_are_left_out(n: int) -> None:
-    image, cover = squares(np.array([0.5, 0.5]))
+@pytest.mark.parametrize(
+    ("n", "across", "blurs"),
+    [(1, 16, (0.0125,)), (2, 16, (0.0125,)), (1, 2, (0.08, 0.05, 0.025, 0.0125))],
+)
+def test_of_a_photograph_blurs_that_leave_no_contrast_are_left_out(
+    n: int, across: int, blurs: tuple[float, ...]
+) -> None:
+    image, cover = squares(np.array([0.5, 0.5]), across=across)
     photograph = (cover * image[..., 0] + (1 - cover) * 0.3).astype(np.float32)
     target = photograph if n == 1 else [photograph, photograph]
     optimizer = FIDE(2, target, photo=True, seed=0)
     while optimizer.evaluations < 60 and optimizer.state.scales.useful is None:
         X = optimizer.ask()
-        renders = [squares(x) for x in X]
+        renders = [squares(x, across=across) for x in X]
         optimizer.tell(X, renders if n == 1 else [renders, renders])
     assert optimizer.state.scales.asked
-    assert optimizer.state.scales.blurs == (0.0125,)
+    assert optimizer.state.scales.blurs == blurs
 
 
 def test_the_best_renders_of_another_picture_are_forgotten() -> None:
