@@ -39,7 +39,7 @@ __all__ = ["ScaleSpace", "predictability"]
 
 BLURS = (0.05, 0.025, 0.0125)
 """Standard deviations of one search after another, in sides of the image; then sharp."""
-_PHOTO_BLURS = (0.08, *BLURS)  # where renders have a coverage, as far as they leave contrast
+_PHOTO_BLURS = (0.08, *BLURS)  # where renders have a coverage that leaves contrast at BLURS[0]
 WIDTHS = (0.6, 0.6, 0.5, 0.4)
 """Widest beginning of the searches that follow the first, of its beginning; the last is sharp."""
 _REACH = 1 / 3  # of the blur in sides of the image, which the cube spans
@@ -141,10 +141,11 @@ class ScaleSpace:
     def _begin_photo(self, kept: Kept) -> bool:
         """Begin coarse with the blurs that leave enough contrast; returns whether one does."""
         self._seen, self.asked = [], True
-        left = [contrast(self._views, kept, share * self._side) for share in (0.0, *_PHOTO_BLURS)]
+        left = [contrast(self._views, kept, share * self._side) for share in (0.0, *BLURS)]
         enough = _LEAST_CONTRAST * left[0]
-        rest = zip(_PHOTO_BLURS, left[1:], strict=True)
-        self.blurs = tuple(blur for blur, one in rest if one >= enough)
+        self.blurs = tuple(b for b, one in zip(BLURS, left[1:], strict=True) if one >= enough)
+        if self.blurs == BLURS:
+            self.blurs = _PHOTO_BLURS
         self.useful = bool(self.blurs)
         if self.useful:
             self.begin()
