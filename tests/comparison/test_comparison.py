@@ -339,15 +339,22 @@ def test_command_line_takes_the_options() -> None:
     assert (args.photo, args.robust, args.background) == (None, 0.2, None)
 
 
-@pytest.mark.parametrize(("blur", "found"), [(0.0, 0.0), (1.0, 1.0)])
-def test_renders_are_as_soft_as_a_camera_makes_the_target(blur: float, found: float) -> None:
+@pytest.mark.parametrize("blur", [0.0, 1.0])
+def test_renders_are_as_soft_as_a_camera_makes_the_target(blur: float) -> None:
     target = blurred(render(TRUE), blur)
     optimizer = fitted(target, 60, photo=True)
     comparison = optimizer.evaluator.comparison
-    assert comparison is not None and comparison.camera == pytest.approx(found, abs=0.4)
+    assert comparison is not None and comparison.camera == pytest.approx(blur, abs=0.4)
     one, other = losses(optimizer.evaluator, [render(TRUE), blurred(render(TRUE), 1.5)])
     assert one < 1e-3 and one < other
     assert optimizer.residual.mean() < 0.05
+
+
+def test_a_camera_is_known_whatever_light_is_asked_for() -> None:
+    optimizer = fitted(blurred(render(TRUE), 1.0), 60, photo=True, photometric="exposure")
+    comparison = optimizer.evaluator.comparison
+    assert comparison is not None and comparison.light == "exposure"
+    assert comparison.camera == pytest.approx(1.0, abs=0.4)
 
 
 def test_a_target_without_edges_says_nothing_of_a_camera() -> None:
