@@ -26,11 +26,14 @@ def adapt_light(optimizer: FIDE) -> None:
     """Set more or less of the light aside, where the best renders say so (`comparison.auto`).
 
     It is considered after 1, 2, 4, 8 ... generations of a search, once its blurs are chosen, and
-    where the target has other colors than the first renders.
+    where the target has other colors than the first renders.  These also say how soft a camera
+    has made a photograph.
     """
     evaluator, kept = optimizer.evaluator, optimizer.state.kept
     generations = optimizer.state.population.generations
-    if kept is None or not len(kept) or not evaluator.adapts_light or kept.given.any():
+    if kept is None or not len(kept) or kept.given.any():
+        return
+    if not (evaluator.adapts_light or evaluator.adapts_blur):
         return
     if generations == kept.considered or generations & (generations - 1):
         return
@@ -41,9 +44,9 @@ def adapt_light(optimizer: FIDE) -> None:
     comparison, before = evaluator.comparison, evaluator.comparison.state_dict()
     if kept.other_colors is None:
         kept.other_colors = comparison.has_other_colors(kept.images)
-        if optimizer.options.photo:
+        if evaluator.adapts_blur:
             comparison.camera = comparison.camera_blur(kept.images)
-    if kept.other_colors:
+    if kept.other_colors and evaluator.adapts_light:
         comparison.light = comparison.light_that_explains(kept.images)
     if comparison.state_dict() != before:
         compare_again(optimizer)

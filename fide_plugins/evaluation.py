@@ -69,7 +69,6 @@ class Evaluator:
         encoder only if it is a network, or if `for_network`.
     photometric, robust, background, photo: see `options.Options`.
 
-    adapts_light: whether the images say which light is set aside.
     comparison: how renders are compared that did not make the target; None: as they are.
 
     Raises ImageError, OptionError, UnknownNameError, DeviceError, or what the encoder raises.
@@ -108,9 +107,7 @@ class Evaluator:
             encoder = OwnEncoder(encoder, device=resolve_device(device, for_network=for_network))
         self.encoder = encoder_of(self.views, encoder)
         self._how: dict[str, Any] = {}
-        self.adapts_light = getattr(self.loss, "of_places", True) and (
-            photometric == "auto" or (photo and photometric is None)
-        )
+        self._photo, self._auto = photo, photometric == "auto" or (photo and photometric is None)
         self.comparison: Comparison | None = None
         if photo or not (photometric is None and robust is None and background is None):
             self._how = {
@@ -126,6 +123,16 @@ class Evaluator:
         name = self.loss_name
         loss_at = None if name is None else partial(loss_of, loss=name, device=self._device)
         return Comparison(self.views, self.loss, loss_at, **how)
+
+    @property
+    def adapts_light(self) -> bool:
+        """Whether the images say which light is set aside."""
+        return self._auto and getattr(self.loss, "of_places", True)
+
+    @property
+    def adapts_blur(self) -> bool:
+        """Whether they say by how much the target is softer than renders."""
+        return self._photo and getattr(self.loss, "of_places", True)
 
     def _copy(self) -> Evaluator:
         other = copy.copy(self)
@@ -199,7 +206,14 @@ class Evaluator:
         """The same for renders of (h, w) pixels, of a named loss; None: of the target's size.
 
         The target is reduced to that size.  Both are enlarged, so that all else keeps its shape.
+
+        Raises LossError for a user's own loss, which knows the target's size only.
         """
+        if self.loss_name is None:
+            raise LossError(
+                f"renders smaller than the target need a named loss, not the object "
+                f"{self.loss.name!r}"
+            )
         small, views = None, self.full
         if size is not None:
             from fide_plugins.views.sizes import reduced, seen_at

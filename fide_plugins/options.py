@@ -54,7 +54,8 @@ class Options:
     background: "free": pixels that a render does not cover (RGBA, or an image with its coverage)
         are explained by the target's colors; None: they are white.
     photo: for targets that the renderer did not draw: photometric="auto", robust="auto", and
-        background="free" where renders have a coverage, unless these are given.
+        background="free" where renders have a coverage, unless these are given; renders get the
+        blur of a camera.
     proposal_fraction: of a generation that is proposed at first.
     fraction_rate: speed of its adaptation, see `proposers.image_gate`; 0 keeps it as it is.
     channel_subsets: sets of leading channels of the tokens, such as (3, 16); empty: the encoder's

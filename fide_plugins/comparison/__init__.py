@@ -23,7 +23,7 @@ itself would cost with its pixels in another order: the background is of the tar
 `auto`         whether light or a camera's blur tells the target from the renders
 `blur`         pictures behind a filter
 `coverage`     renders that say which pixels they draw
-`kept`         the best renders, which are compared anew when the comparison changes
+`kept`         the best renders, which are compared again when the comparison changes
 `mismatch`     what explains a difference that no parameter removes
 `scale_space`  searches that begin blurred
 =============  ==================================================================

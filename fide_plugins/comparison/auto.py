@@ -35,6 +35,8 @@ _SIGMAS = 0.8, 1.6  # pixels: edges are compared behind these filters
 _STEEPEST = (0.9, 0.95, 0.98)  # quantiles of the gradients
 _BLURS = (0.0, 0.4, 0.6, 0.8, 1.0, 1.3, 1.7, 2.2)  # pixels
 _LOOKED_AT, _SURE, _LEAST_BLUR = 8, 2.0, 0.6  # renders, their standard deviations, pixels
+_NO_EDGE = -0.05  # softness of an edge behind a blur of 4 pixels: what is softer is a shade
+_NARROWEST = 8  # pixels of a side in which there are edges
 _NOTHING = 1e-7  # mean square that is rounding
 
 
@@ -78,7 +80,7 @@ def changed_light(light: str, left: Float64) -> str:
 
 
 def has_other_colors(target: Float32, renders: Sequence[Float32]) -> bool:
-    """Whether quantiles of a target's colors are far from those of all renders, (h, w, 3) each.
+    """Whether quantiles of a target's colors are far from those of all renders, (..., 3) each.
 
     Far is what is four times as far as a render's from those of the most similar render.
     """
@@ -95,9 +97,14 @@ def has_other_colors(target: Float32, renders: Sequence[Float32]) -> bool:
 def camera_blur(target: Float32, renders: Sequence[Float32]) -> float:
     """Blur in pixels that gives renders edges as soft as the target's, (H, W, 3) each; 0: none."""
     seen = renders[:_LOOKED_AT]
+    if len(seen) < 3 or min(target.shape[:2]) < _NARROWEST:
+        return 0.0
+    own = _softness(target)
+    if own > _NO_EDGE:
+        return 0.0
     soft = np.array([[_softness(blurred(one, b)) for b in _BLURS] for one in seen])
-    own, mean = _softness(target), soft.mean(axis=0)
-    if len(seen) < 3 or own < mean[0] + _SURE * float(soft[:, 0].std()):
+    mean = soft.mean(axis=0)
+    if own < mean[0] + _SURE * float(soft[:, 0].std()):
         return 0.0
     found = float(np.interp(own, np.maximum.accumulate(mean), _BLURS))
     return found if found >= _LEAST_BLUR else 0.0

@@ -169,11 +169,12 @@ class Comparison:
         """Whether the target's colors are none of these renders' (n, H, W, C): see `auto`."""
         if images.shape[3] == 4:
             return True  # what they do not cover has any color
-        parts = self.views.split(images)
-        return any(
-            has_other_colors(level.small, [_small(image) for image in part])
-            for level, part in zip(self.at().each, parts, strict=True)
-        )
+        for one, part in zip(self.at().each, self.views.split(images), strict=True):
+            counts = ... if one.small_weights is None else one.small_weights > 0
+            target, *renders = (picture[counts] for picture in (one.small, *map(_small, part)))
+            if has_other_colors(target, renders):
+                return True
+        return False
 
     def camera_blur(self, images: Float32) -> float:
         """By how much the target is softer than renders (n, H, W, C), in pixels: see `auto`.

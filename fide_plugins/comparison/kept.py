@@ -1,4 +1,4 @@
-"""The best renders of a run, so that they can be compared anew."""
+"""The best renders of a run, so that they can be compared again."""
 
 from __future__ import annotations
 

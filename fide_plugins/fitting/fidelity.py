@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from fide_plugins.errors import OptionError
@@ -109,7 +109,7 @@ class StoppingFine(Stopping):
     @classmethod
     def around(cls, rules: Stopping, schedule: Schedule) -> StoppingFine:
         """The same rules."""
-        return cls(rules.budget, rules.seconds, rules.stop_at, rules.until, schedule)
+        return cls(**asdict(rules), schedule=schedule)
 
     def reached(self, *args: Any) -> str | None:
         """As `Stopping.reached`."""

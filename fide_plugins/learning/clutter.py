@@ -44,7 +44,7 @@ _SHADOW, _SHADOW_SHIFT = 0.5, 0.06  # at its darkest; of the longer side
 _GAMMA, _GAIN = 0.6, 0.4  # powers of 2
 _WHITE, _SHADING, _OFFSET = 0.08, 0.3, 0.1
 _FOCUS = 0.3, 1.0  # standard deviation of a blur of 5 x 5 pixels, in pixels
-_GRAIN = 0.04  # standard deviation of noise, at most
+_NOISE = 0.04  # standard deviation of noise, at most
 _QUALITY = 30, 95  # of JPEG
 _CHUNK = 100  # images that are composed at once
 
@@ -53,7 +53,7 @@ _CHUNK = 100  # images that are composed at once
 class Clutter:
     """What is put behind renders, around them and in front of them.
 
-    A store keeps each render with its coverage, and every pass of a training composes it anew:
+    A store keeps each render with its coverage, and every pass of a training composes it again:
 
     1. background   a crop of another picture, mirrored, of another contrast, with rectangles on it
     2. rim          in half of the images another gray around the object: paper, an edge
@@ -187,8 +187,8 @@ def _out_of_focus(images: Tensor, generator: torch.Generator) -> Tensor:
     return out_of_focus(images, generator, _FOCUS, 5)
 
 
-def _grainy(images: Tensor, generator: torch.Generator) -> Tensor:
-    return noisy(images, generator, _GRAIN)
+def _noised(images: Tensor, generator: torch.Generator) -> Tensor:
+    return noisy(images, generator, _NOISE)
 
 
 def _compressed(images: Tensor, generator: torch.Generator) -> Tensor:
@@ -204,7 +204,7 @@ def _compressed(images: Tensor, generator: torch.Generator) -> Tensor:
 
 
 _CLUTTER = (
-    (in_front, 1 / 4), (in_front, 1 / 4), (_lit, 3 / 4), (_out_of_focus, 1 / 2), (_grainy, 1 / 2),
+    (in_front, 1 / 4), (in_front, 1 / 4), (_lit, 3 / 4), (_out_of_focus, 1 / 2), (_noised, 1 / 2),
     (_compressed, 1 / 4),
 )  # fmt: skip
 

@@ -66,7 +66,7 @@ class Training:
     x, images: renders (n, d) and (n, H, W, 3).
     passes: at most.  seconds: at most, for the schedule too; None: no limit.
     augment: how much images are changed, see `augmentation`.
-    clutter: what renders are composed with, anew in each pass; those that judge once.
+    clutter: what renders are composed with, again in each pass; those that judge once.
     curve: see `Curve`.  passed: passes done.  spent: seconds that they took.
     best: lowest held-out loss of a pass; +inf before the first.
     """

@@ -158,11 +158,11 @@ class Descents(Stateful):
 
     def _differentiate(self, i: int, known: Mapping[bytes, TrainingSample], aim: Float32) -> None:
         points = self._neighbors(i)
-        here = known.get(points[0].tobytes())
-        if here is None:  # it failed
+        middle = known.get(points[0].tobytes())
+        if middle is None:  # it failed
             self.losses[i] = np.inf
             return
-        self.losses[i], self.residuals[i] = here.loss, _flat(here.tokens) - aim
+        self.losses[i], self.residuals[i] = middle.loss, _flat(middle.tokens) - aim
         for axis, x in enumerate(points[1:]):
             beside, apart = known.get(x.tobytes()), self._apart(points[0], x)[axis]
             if beside is not None and apart:

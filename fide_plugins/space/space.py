@@ -11,14 +11,14 @@ import os
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
-from typing import Any, NamedTuple, Self, TypeAlias
+from typing import Any, NamedTuple, Self, TypeAlias, get_args
 
 import numpy as np
 
 from fide_plugins.errors import SpaceError, did_you_mean
 from fide_plugins.runtime.files import read_regular
 from fide_plugins.space.constraints import Expression, sample_of
-from fide_plugins.space.kinds import Choice, Float, Int, Kind
+from fide_plugins.space.kinds import Choice, Kind
 from fide_plugins.space.layout import Layout
 from fide_plugins.types import Float64, Mask
 from fide_plugins.validation.points import as_point, as_points, as_whole
@@ -27,7 +27,7 @@ __all__ = ["Group", "Leaf", "Member", "Params", "Repeated", "Space"]
 
 Params = dict[str, Any]
 
-_KINDS: dict[str, type[Kind]] = {kind.type: kind for kind in (Float, Int, Choice)}
+_KINDS: dict[str, type[Kind]] = {kind.type: kind for kind in get_args(Kind)}
 _PLAIN = (str, int, float, bool, type(None))
 _MOST_BYTES = 2**24  # of a file: 200,000 parameters
 _MOST_COPIES = 100_000  # of a group
@@ -143,7 +143,7 @@ def _check_members(owner: str, members: object, named: Mapping[str, object]) -> 
             raise SpaceError(
                 f"the name of a parameter must be an identifier (letters, digits, _), not {name!r}"
             )
-        if not isinstance(member, Float | Int | Choice | Group | Repeated):
+        if not isinstance(member, Member):
             raise SpaceError(
                 f"parameter {name!r} must be a Float, Int, Choice or Group, such as Float(0, 1), "
                 f"not {member!r}"

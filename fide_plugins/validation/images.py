@@ -111,7 +111,7 @@ def alpha_of(image: object, what: str = "the target") -> Float32:
 
     what: its name in errors.  Raises ImageError if it has none.
     """
-    array = as_pixels(image, what)
+    array = as_pixels(image, what, raw=True)  # a share, whatever values are white
     if array.shape[-1] != 4:
         raise ImageError(f"{what} must have an alpha channel, (H, W, 4), got {describe(array)}")
     alpha: Float32 = np.array(unit_range(shares(array[..., 3]), what, None), np.float32, order="C")

@@ -11,7 +11,7 @@ import pytest
 
 from fide_plugins import FIDE, fit
 from fide_plugins.cli.fit_command import add_arguments
-from fide_plugins.comparison.auto import has_other_colors
+from fide_plugins.comparison.auto import camera_blur, has_other_colors
 from fide_plugins.comparison.blur import blurred
 from fide_plugins.comparison.light import fit_light
 from fide_plugins.comparison.mismatch import explanation
@@ -339,12 +339,40 @@ def test_command_line_takes_the_options() -> None:
     assert (args.photo, args.robust, args.background) == (None, 0.2, None)
 
 
-@pytest.mark.parametrize(("blur", "found"), [(0.0, 0.0), (1.0, 1.0)])
-def test_renders_are_as_soft_as_a_camera_makes_the_target(blur: float, found: float) -> None:
+@pytest.mark.parametrize("blur", [0.0, 1.0])
+def test_renders_are_as_soft_as_a_camera_makes_the_target(blur: float) -> None:
     target = blurred(render(TRUE), blur)
     optimizer = fitted(target, 60, photo=True)
     comparison = optimizer.evaluator.comparison
-    assert comparison is not None and comparison.camera == pytest.approx(found, abs=0.4)
+    assert comparison is not None and comparison.camera == pytest.approx(blur, abs=0.4)
     one, other = losses(optimizer.evaluator, [render(TRUE), blurred(render(TRUE), 1.5)])
     assert one < 1e-3 and one < other
     assert optimizer.residual.mean() < 0.05
+
+
+def test_a_camera_is_known_whatever_light_is_asked_for() -> None:
+    optimizer = fitted(blurred(render(TRUE), 1.0), 60, photo=True, photometric="exposure")
+    comparison = optimizer.evaluator.comparison
+    assert comparison is not None and comparison.light == "exposure"
+    assert comparison.camera == pytest.approx(1.0, abs=0.4)
+
+
+def test_a_target_without_edges_says_nothing_of_a_camera() -> None:
+    renders = [render(x) for x in np.random.default_rng(0).random((6, 2))]
+    shade = np.linspace(0, 1, SIZE, dtype=np.float32)[:, None, None]
+    for target in (np.full_like(renders[0], 0.5), shade + np.zeros_like(renders[0])):
+        assert camera_blur(target, renders) == 0
+    assert camera_blur(blurred(renders[0], 1.0), renders[1:]) == pytest.approx(1.0, abs=0.4)
+    lines = [one[:1] for one in renders]
+    assert camera_blur(lines[0], lines) == 0
+
+
+def test_hidden_colors_are_none_of_the_target() -> None:
+    mask = np.ones((SIZE, SIZE), np.float32)
+    mask[: SIZE // 2] = 0
+    target = render(TRUE)
+    target[mask == 0] = 0
+    comparison = evaluator(target, mask=mask, photo=True).comparison
+    assert comparison is not None
+    moved = np.array([render(x) for x in np.random.default_rng(0).random((12, 2))])
+    assert not comparison.has_other_colors(moved)

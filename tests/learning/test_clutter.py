@@ -1,7 +1,8 @@
-"""Renders are pasted onto other pictures while they are learned, anew in each pass."""
+"""Renders are pasted onto other pictures while they are learned, again in each pass."""
 
 from __future__ import annotations
 
+import threading
 import warnings
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,8 @@ from fide_plugins.cli import main
 from fide_plugins.errors import ImageError, OptionError
 from fide_plugins.learning import LearnProgress, Model, learn
 from fide_plugins.learning.clutter import Clutter, clutter_of, generated
+from fide_plugins.learning.networks import Network
+from fide_plugins.learning.training import Training
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.images import save
 
@@ -140,6 +143,28 @@ def test_an_interrupted_training_composes_the_same(tmp_path: Path) -> None:
         learn(disk, 2, out=tmp_path / "m", on_progress=stop, **arguments)
     resumed, whole = learn(disk, 2, out=tmp_path / "m", **arguments), learn(disk, 2, **arguments)
     assert resumed.report.curve == whole.report.curve
+
+
+def test_no_error_and_no_interruption_leaves_the_thread_that_makes_batches() -> None:
+    class Failing(Clutter):
+        def composed(self, renders: Tensor, generator: torch.Generator) -> Tensor:
+            if threading.current_thread() is not threading.main_thread():
+                raise ValueError("no batch")
+            return super().composed(renders, generator)
+
+    class Interrupted(Training):
+        def _step(self, loss: Tensor) -> None:
+            raise KeyboardInterrupt
+
+    rng = np.random.default_rng(0)
+    x, images = rng.random((200, 2)), rng.integers(0, 256, (200, 16, 16, 3), np.uint8)
+    network = Network((16, 16), (False, False))
+    before = threading.active_count()
+    with pytest.raises(ValueError, match="no batch"):
+        Training(network, x, images, 2, clutter=Failing((), "none")).run()
+    with pytest.raises(KeyboardInterrupt):
+        Interrupted(network, x, images, 2, clutter=Clutter((), "none")).run()
+    assert threading.active_count() == before
 
 
 def test_clutter_without_a_coverage_changes_light_and_what_is_in_front() -> None:

@@ -204,3 +204,10 @@ def test_solved_is_judged_by_what_counts() -> None:
     shown = np.where(HALF[..., None] == 1, TARGET, 0)
     opt.tell(opt.ask(), np.stack([shown] * 4))
     assert opt.status.code == "solved"
+
+
+def test_alpha_of_whole_numbers_is_a_share_with_a_value_range() -> None:
+    target = RNG.integers(0, 65536, (20, 24, 4), np.uint16)
+    views = Views.read(target, mask="alpha", value_range=(0, 65535))
+    weights = views.weights
+    np.testing.assert_allclose(weights, target[..., 3] / target[..., 3].max(), rtol=1e-6)
