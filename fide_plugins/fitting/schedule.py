@@ -29,6 +29,7 @@ __all__ = ["SHARE", "Schedule"]
 
 _RISE = 4  # times as many samples, or pixels
 _PAIRS, _FEWEST_PAIRS, _EVERY = 16, 8, 18  # renders of one candidate twice: kept, needed, one of
+_SOONER = 20  # parts of a budget: a pair for each of them, where that is more often
 _SPREADS, _FEWEST_SPREADS = 8, 3  # generations whose median spread of losses counts
 _TOLERANCE = 0.5  # largest ratio of noise to spread
 _NORMAL = 1.349  # interquartile range of the normal distribution, in standard deviations
@@ -57,7 +58,7 @@ class Schedule:
         """Which size, and how many samples of a pixel."""
         self.cost = 0.0
         """Of all renders so far, in full ones, by pixels times samples."""
-        self._count, self._since, self._told = 0, 0, 0
+        self._count, self._since, self._told, self._every = 0, 0, 0, _EVERY
         self._best, self._best_at = math.inf, 0
         self._typical: float | None = None  # median loss of the first generation
         self._spread: Float64 | None = None  # (d,), of the search when it found the best
@@ -127,7 +128,12 @@ class Schedule:
         if self._next is not None:
             after, self._next = self._next, None
             return self._rise(*after)
-        if self._again is None and self._losses and self._since >= _EVERY and self._takes_samples:
+        if (
+            self._again is None
+            and self._losses
+            and self._since >= self._every
+            and self._takes_samples
+        ):
             self._since, self._again = 0, (self._last_told, self._losses[-1])
             return self._last_told[None]
         return None
@@ -154,6 +160,8 @@ class Schedule:
         pixels = math.prod(np.ravel(self.sizes[k])) / math.prod(np.ravel(self.sizes[self.k]))
         for i in range(len(self._halves)):  # as for independent samples, until new pairs come
             self._halves[i] *= self.samples / samples / pixels
+        if state.pixel_noise.variance is not None:
+            state.pixel_noise.variance *= self.samples / samples
         self.k, self.samples = k, samples
         self._rising, self._again = (start.copy(), std.copy()), None
         self._spreads.clear()
@@ -238,6 +246,7 @@ class Schedule:
         """
         state = self._optimizer.state
         self._told, self._since, self._last_told = self._told + 1, self._since + 1, x
+        self._every = int(min(_EVERY, max(3.0, left / (1 - min(spent, 0.9)) / _SOONER)))
         if loss < self._best:
             self._spread = state.search.std.copy()
             if not loss > self._best - _GAIN * abs(self._best):

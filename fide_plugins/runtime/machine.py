@@ -26,7 +26,7 @@ def version_of(package: str) -> str | None:
 
 def versions() -> dict[str, str]:
     """Versions of Python and of the packages on which results may depend."""
-    required = ("fide-plugins", "torch", "numpy", "scipy", "pillow", "drjit", "gpytorch", "nflows")
+    required = ("fide-plugins", "torch", "numpy", "scipy", "pillow", "drjit")
     optional = (package for packages in EXTRAS.values() for package in packages)
     found = {name: version_of(name) for name in (*required, *_OPENCV, *optional)}
     return {"python": platform.python_version(), **{k: v for k, v in found.items() if v}}

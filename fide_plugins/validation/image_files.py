@@ -107,29 +107,34 @@ def _by_opencv(path: str | os.PathLike[str], raw: bool) -> Pixels:
 
 
 def _by_openexr(name: str) -> Float32:
-    """Pixels (H, W) of Y, (H, W, 3) of RGB or (H, W, 4) of RGBA in the first part of a file."""
+    """Pixels (H, W) of Y, (H, W, 3) of RGB, (H, W, 4) of RGBA or YA in the first part of a file."""
     try:
         import OpenEXR
     except ImportError as error:
         raise missing("exr", "reading EXR files needs OpenEXR") from error
     with open(name, "rb") as file:  # which reports a missing file as Python does
-        (left, top), (right, bottom) = OpenEXR.File(file, header_only=True).header()["dataWindow"]
-        _check_size(int(right) - int(left) + 1, int(bottom) - int(top) + 1, repr(name))
+        for part in OpenEXR.File(file, header_only=True).parts:  # all of them are read
+            (left, top), (right, bottom) = part.header["dataWindow"]
+            _check_size(int(right) - int(left) + 1, int(bottom) - int(top) + 1, repr(name))
         file.seek(0)
-        channels = OpenEXR.File(file).channels()
-    colors = next((channels[key].pixels for key in ("RGBA", "RGB", "Y") if key in channels), None)
-    if colors is None or colors.dtype not in (np.float16, np.float32):
+        channels = OpenEXR.File(file, separate_channels=True).channels()
+    names = next((one for one in ("RGBA", "RGB", "YA", "Y") if channels.keys() >= set(one)), "")
+    planes = [channels[one].pixels for one in names]
+    floats = all(one.dtype in (np.float16, np.float32) for one in planes)
+    if not names or not floats or len({one.shape for one in planes}) > 1:
         found = ", ".join(sorted(channels)[:8]) or "none"
         raise ImageError(
             f"{name!r} has no channels R, G, B or Y of floats in its first part, but {found}: give "
             "the array, such as OpenEXR.File(path).channels()[NAME].pixels"
         )
-    pixels: Float32 = colors.astype(np.float32)
-    if pixels.shape[2:] == (4,):  # a file has colors multiplied by their alpha
-        alpha = pixels[..., 3:]
+    pixels: Float32 = np.stack(planes, axis=-1).astype(np.float32)
+    if names[-1] == "A":  # a file has colors multiplied by their alpha
+        alpha = pixels[..., -1:]
         with np.errstate(over="ignore", invalid="ignore"):
-            np.divide(pixels[..., :3], alpha, out=pixels[..., :3], where=alpha > 0)
-    return pixels
+            np.divide(pixels[..., :-1], alpha, out=pixels[..., :-1], where=alpha > 0)
+    if names == "YA":
+        return pixels[..., [0, 0, 0, 1]]
+    return pixels[..., 0] if names == "Y" else pixels
 
 
 def _size_in_header(path: Path) -> tuple[int, int]:

@@ -13,6 +13,7 @@ import pytest
 from fide_plugins import FIDE, Fidelity, Float, Space, fit
 from fide_plugins.errors import LossError, OptionError
 from fide_plugins.fitting.callbacks import Event
+from fide_plugins.fitting.fidelity import schedule_for
 from fide_plugins.fitting.schedule import Schedule
 from fide_plugins.types import Float64
 
@@ -63,6 +64,23 @@ def test_it_asks_for_finer_and_finer_renders_and_ends_with_the_finest(target: Fl
     assert result.params == pytest.approx(ANSWER, abs=0.01)
     assert result.best is not None and result.best.image is not None
     assert result.best.image.shape == (64, 80, 3)
+
+
+def test_with_a_small_budget_noise_is_measured_sooner(target: Float64) -> None:
+    asked: Asked = []
+    options: dict[str, Any] = {"workers": 0, "seed": 0, "until": "budget", "fidelity": SMALL}
+    result = fit(renderer(asked), target, SPACE, 60, **options)
+    assert len(asked) - result.evaluations - result.std_renders >= 8  # rendered twice
+
+
+def test_noise_of_pixels_falls_with_more_samples(target: Float64) -> None:
+    optimizer = FIDE(SPACE, target, seed=0)
+    schedule = schedule_for(renderer([]), SMALL, optimizer)
+    assert schedule is not None
+    optimizer.tell(optimizer.ask(1), [target])
+    optimizer.state.pixel_noise.variance = 0.16
+    schedule.rise_to_finest()
+    assert optimizer.state.pixel_noise.variance == pytest.approx(0.01)
 
 
 def test_the_best_is_rendered_again_when_renders_become_finer(target: Float64) -> None:

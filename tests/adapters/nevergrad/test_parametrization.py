@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import nevergrad as ng
 import numpy as np
 import pytest
+from nevergrad.optimization.optimizerlib import Chaining, ConfPortfolio
 from nevergrad.parametrization import helpers
 
+from fide_adapters.nevergrad import NoImagesWarning, ParametrizedFIDE
 from fide_adapters.nevergrad.parametrization import Cube, _Axes
 from fide_plugins import FIDE as Core, Choice, Float, Int
 from fide_plugins.types import Float32
 
-from .conftest import box, fide, render
+from .conftest import TARGET, box, fide, mse, render
 
 pytestmark = pytest.mark.filterwarnings("ignore::nevergrad.common.errors.NevergradWarning")
 
@@ -244,6 +247,28 @@ def test_point_24_the_mean_is_recommended_where_renders_are_noisy(kind: str) -> 
     if kind == "box":
         mean = optimizer.fide.recommend()
         np.testing.assert_allclose(optimizer.recommend().value, mean, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["portfolio", "chain"])
+def test_point_24_among_other_optimizers_it_gets_their_losses(kind: str) -> None:
+    """No images, so it says once that it is CMA-ES; the candidates are inside."""
+    fides, other = ParametrizedFIDE(target=TARGET, seed=0), ng.optimizers.OnePlusOne
+    make = (
+        ConfPortfolio(optimizers=[fides, other])
+        if kind == "portfolio"
+        else Chaining([fides, other], [20])
+    )
+    optimizer = make(box(), budget=40)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", NoImagesWarning)
+        losses = []
+        for _ in range(40):
+            candidate = optimizer.ask()
+            check("box", candidate.value)
+            losses.append(mse(render(candidate.value)))
+            optimizer.tell(candidate, losses[-1])
+    assert [each.category for each in caught].count(NoImagesWarning) == 1
+    assert mse(render(optimizer.recommend().value)) < losses[0]
 
 
 def test_a_candidate_that_violates_a_cheap_constraint_is_withdrawn(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import warnings
 from typing import Any
 
@@ -45,6 +46,26 @@ def test_point_5_every_storage_gives_the_same(mode: str, in_memory: list[dict[st
         warnings.simplefilter("ignore")  # those of the storages themselves
         with StorageSupplier(mode) as storage:
             assert params_in(storage) == in_memory
+
+
+def test_point_6_attributes_are_json_of_less_than_4_kib_a_trial(bench: Bench) -> None:
+    """At 200 parameters and 224 x 224 pixels; trials that are read are left as they are."""
+    target = np.kron(bench.target, np.ones((28, 28, 1), np.float32))
+    sampler = FIDESampler(target, seed=0, popsize=4)
+    study = optuna.create_study(sampler=sampler)
+
+    def objective(trial: Trial) -> float:
+        x = [trial.suggest_float(f"x{i}", 0, 1) for i in range(200)]
+        return sampler.tell_image(trial, np.roll(target, int(100 * x[0]), axis=1))
+
+    study.optimize(objective, n_trials=6)
+    before = [repr(trial) for trial in study.get_trials()]
+    study.optimize(objective, n_trials=6)
+    assert [repr(trial) for trial in study.get_trials()[:6]] == before
+    for trial in study.trials:
+        attributes = trial.system_attrs
+        assert set(attributes) <= {"fide:ask", "fide:image"} and "fide:image" in attributes
+        assert len(json.dumps(attributes)) < 4096
 
 
 def test_point_7_eight_threads(bench: Bench) -> None:
