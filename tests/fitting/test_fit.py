@@ -167,7 +167,7 @@ def test_a_hopeless_fit_stops_when_it_stalls() -> None:
         return np.full((16, 16), 0.3)
 
     with pytest.warns(RuntimeWarning, match="all images of the first 32 candidates"):
-        result = fit(constant, target(), SPACE, None, until="stalled", workers=0, seed=0)
+        result = fit(constant, target(), SPACE, None, until_stalled=True, workers=0, seed=0)
     assert result.stopped == "stalled"
     assert 20 * 8 <= result.evaluations < 2000 and result.status.code != "improving"
 
