@@ -147,8 +147,7 @@ def fit(
 
     Whatever ends the fit after it has begun has the attribute `result`: what was computed by then.
     """
-    if options.pop("until_stalled", False):  # its name in 0.2
-        until = "stalled"
+    until = "stalled" if options.pop("until_stalled", False) else until  # its name in 0.2
     check_known(options, "fit", [name for name in signature(fit).parameters if name != "options"])
     given = {
         "mask": mask, "learned": learned, "constraints": constraints, "value_range": value_range
