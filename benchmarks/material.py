@@ -1,16 +1,13 @@
 """Finds the numbers of a procedural material: FIDE against Markov chains.
 
-    python benchmarks/material.py              # what is missing; can be stopped at any time
-    python benchmarks/material.py --table
+    python benchmarks/material.py --table      # without --table: measure what is missing
 
-VLMaterial (https://arxiv.org/abs/2501.18623) lets a language model write a material's program, and
-a Markov chain find its numbers.  Here the material is a brick wall of ten numbers in NumPy.  The
-chains are rebuilt: Gaussian steps, accepted where the loss falls, else with probability exp(-rise /
-temperature) ("metropolis") or 0.05, as in VLMaterial's program ("constant").  Step and temperature
-are the best of a grid on ten other targets.  FIDE is `fit` with its defaults.  All minimize the
-mean squared error.  Guess: each number is wrong by 0.2 of its range; FIDE has sigma0=0.2.  None:
-chains start anywhere.  100 renders are the default of VLMaterial's program.  Solved: all numbers
-within 0.05.
+In VLMaterial (arXiv 2501.18623) a language model writes a material's program, a Markov chain finds
+its numbers.  Here the material is a brick wall of ten numbers in NumPy.  The chains are rebuilt:
+Gaussian steps, accepted where the loss falls, else with probability exp(-rise / temperature)
+("metropolis") or 0.05, as in VLMaterial's program ("constant"); step and temperature are the best
+of a grid on ten other targets.  FIDE is `fit` with its defaults; all minimize the MSE.  The guess
+is wrong by 0.2 in each number; FIDE has sigma0=0.2.  Solved: all numbers within 0.05.
 """
 
 from __future__ import annotations
@@ -35,7 +32,6 @@ DIM, SIZE, TARGETS, OTHERS = 10, 64, range(10), range(100, 110)
 RENDERS, STARTS, METHODS = (100, 500), ("guess", "none"), ("fide", "metropolis", "constant")
 NAMES = "method", "start", "renders", "target"
 STEPS, TEMPERATURES = (0.005, 0.01, 0.02, 0.04, 0.08), (1e-6, 1e-5, 1e-4, 1e-3)
-GRID = (np.mgrid[:SIZE, :SIZE] + 0.5) / SIZE - 0.5
 STAINS = cv2.GaussianBlur(np.random.default_rng(0).normal(0, 2, (SIZE, SIZE)), (0, 0), 2)
 
 
@@ -66,20 +62,19 @@ def chain(number: int, start: str, renders: int, step: float, heat: float | None
     best = now = (np.inf, x)
     for _ in range(renders):
         loss = float(np.square(render(x) - target).mean())
-        worse = 0.05 if heat is None else np.exp(min(0, now[0] - loss) / heat)
+        worse = np.exp(min(0, now[0] - loss) / heat) if heat else 0.05
         if loss < now[0] or rng.random() < worse:
             now = (loss, x)
         best = min(best, now, key=lambda each: each[0])
-        x = np.abs(now[1] + step * rng.standard_normal(DIM))
-        x = 1 - np.abs(1 - x % 2)  # reflected at 0 and 1
+        x = 1 - np.abs(1 - np.abs(rng.normal(now[1], step)) % 2)  # reflected at 0 and 1
     return best[1]
 
 
 def judged(number: int, x: Float64) -> Row:
     """How good an answer is."""
     truth, _ = problem(number, "guess")
-    loss = float(np.square(render(x) - render(truth)).mean())
-    return {"solved": bool(np.abs(x - truth).max() <= 0.05), "error": loss}
+    error = float(np.square(render(x) - render(truth)).mean())
+    return {"solved": bool(np.abs(x - truth).max() <= 0.05), "error": error}
 
 
 @cache
@@ -121,6 +116,5 @@ def table(rows: list[Row]) -> str:
 
 
 if __name__ == "__main__":
-    runs = product(METHODS, STARTS, RENDERS, TARGETS)
-    planned = [dict(zip(NAMES, values, strict=True)) for values in runs]
-    command(__doc__ or "", planned, measure, RESULTS, key, table)
+    runs = (dict(zip(NAMES, v, strict=True)) for v in product(METHODS, STARTS, RENDERS, TARGETS))
+    command(__doc__ or "", runs, measure, RESULTS, key, table)
