@@ -123,9 +123,9 @@ def fit(
         "auto": from the target.  Images come back in these values; losses are of images scaled to
         [0, 1].
     fidelity
-        how small, and of how few samples, renders may be: `Fidelity(size=(32, 256), samples=(1,
-        64))`, for a `render` with keyword arguments size=(h, w), samples=n or seed=s.  None: where
-        its signature has them.  False: always the finest.
+        how small, and of how few samples, renders may be: a `Fidelity`, for a `render` with
+        keyword arguments size=(h, w), samples=n or seed=s.  None: where its signature has them.
+        False: always the finest.
     **options
         options of `FIDE`, such as `loss`, `encoder`, `preset`, `weights`, `x0`.
 
