@@ -64,7 +64,7 @@ class Schedule:
         self._spread: Float64 | None = None  # (d,), of the search when it found the best
         self._rising: tuple[Float64, Float64] | None = None  # where it goes on: x and std, (d,)
         self._works = [len(self.sizes) - 1]  # sizes that have given an image, and the last
-        self._refused: list[str] = []
+        self._refused: str | None = None  # where and why a render failed, and larger ones are tried
         self._halves: deque[float] = deque(maxlen=_PAIRS)  # half the squared difference of a pair
         self._spreads: deque[float] = deque(maxlen=_SPREADS)
         self._losses: list[float] = []
@@ -85,6 +85,10 @@ class Schedule:
     def is_finest(self) -> bool:
         """Whether no render can be finer."""
         return (self.k, self.samples) == (self._last, self._most)
+
+    @property
+    def _may_rise(self) -> bool:
+        return not self.is_finest and self._next is None and self._rising is None
 
     def finest(self) -> dict[str, Any]:
         """Keyword arguments of the finest render."""
@@ -190,7 +194,7 @@ class Schedule:
             self._works.append(self.k)
         if isinstance(outcome, Failed):
             if not self._optimizer.evaluations and self._refused:  # it is these parameters
-                self._refused, self.k = [], 0
+                self._refused, self.k = None, 0
                 self.begin()
             return "tell"
         self._say_what_failed()
@@ -213,19 +217,19 @@ class Schedule:
 
     def _go_larger(self, failed: Failed) -> None:
         height, width = self.sizes[self.k]
-        self._refused.append(f"at {width} x {height} pixels: {failed.reason}")
+        self._refused = f"at {width} x {height} pixels: {failed.reason}"
         self.k += 1
         if self._rising is None:
             self.begin()
 
     def _say_what_failed(self) -> None:
-        if self._refused:
+        if self._refused is not None:
             height, width = self.sizes[self.k]
             warn_user(
-                f"renders fail {self._refused[-1]}; the smallest that work have {width} x {height},"
+                f"renders fail {self._refused}; the smallest that work have {width} x {height},"
                 " and are used"
             )
-            self._refused = []
+            self._refused = None
 
     def _note_pair(self, first: float, outcome: Rendered) -> None:
         evaluator = self._optimizer.evaluator
@@ -255,7 +259,7 @@ class Schedule:
         self._losses.append(loss)
         if len(self._losses) >= self._optimizer.popsize:
             self._note_generation()
-        if not self.is_finest and self._next is None and self._rising is None:
+        if self._may_rise:
             self._decide(spent, left)
 
     def _note_generation(self) -> None:
@@ -293,7 +297,7 @@ class Schedule:
 
     def step_up(self, *, larger: bool = False) -> None:
         """Render finer from now on: with more samples, or larger, where that is possible."""
-        if self.is_finest or self._next is not None or self._rising is not None:
+        if not self._may_rise:
             return
         if self.k < self._last and (larger or self.samples == self._most):
             self._next = (self.k + 1, self.samples)
