@@ -18,8 +18,14 @@ from fide_plugins.comparison.scale_space import ScaleSpace
 from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.evaluation import Evaluation, Evaluator
 from fide_plugins.options import Options, make_options
-from fide_plugins.population import CandidateRole, Population
-from fide_plugins.population.candidate import Memory, TrainingSample, columns, in_order
+from fide_plugins.population import (
+    CandidateRole,
+    Memory,
+    Population,
+    TrainingSample,
+    columns,
+    in_order,
+)
 from fide_plugins.proposers import channel_subsets, make_proposer, make_steps
 from fide_plugins.proposers.image_gate import ImageGate
 from fide_plugins.runtime.machine import timed
@@ -271,7 +277,7 @@ class FIDE(Saved):
         population = self.state.population
         if not population.remaining:
             self.draw_generation()
-        if n > population.queued:
+        if n > len(population.queue):
             self._train_early()
         self._make_next(n)  # which may fail, before anything is handed out
         X = np.empty((n, self.dim))
@@ -335,10 +341,10 @@ class FIDE(Saved):
         again.  rng: of the proposer.
         """
         m, proposer = len(population.reserved), self.state.proposer
-        if proposer is None or not m or (n is not None and n <= population.queued):
+        if proposer is None or not m or (n is not None and n <= len(population.queue)):
             return
         if n is not None and proposer.lazy:
-            m = n - population.queued
+            m = n - len(population.queue)
         population.add_proposals(*self._propose(population.reserved[:m], self.state.search, rng))
 
     def _propose(
@@ -359,7 +365,7 @@ class FIDE(Saved):
         them proposals as before.
         """
         state, population = self.state, self.state.population
-        needed = max(0, population.size - population.evaluated - population.awaited)
+        needed = max(0, population.size - len(population.told) - population.awaited)
         m = min(n, population.remaining) - needed
         if m > 0 and (state.proposer is None or state.proposer.lazy):
             search = state.preview_search()

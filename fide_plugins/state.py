@@ -10,8 +10,16 @@ import numpy as np
 import torch
 
 from fide_plugins.comparison.scale_space import NEXT, ScaleSpace
-from fide_plugins.population import Candidate, CandidateRole, Population
-from fide_plugins.population.candidate import Best, Memory, TrainingSample, columns, in_order
+from fide_plugins.population import (
+    Best,
+    Candidate,
+    CandidateRole,
+    Memory,
+    Population,
+    TrainingSample,
+    columns,
+    in_order,
+)
 from fide_plugins.proposers import Proposer
 from fide_plugins.proposers.feature_buffer import MOST, for_jacobian
 from fide_plugins.proposers.image_gate import ImageGate
@@ -125,7 +133,7 @@ class State:
         """
         population = self.population
         enough = max(_FEWEST, _ENOUGH * population.size)
-        if self.moves.stage is not Stage.SEARCH or population.evaluated < enough:
+        if self.moves.stage is not Stage.SEARCH or len(population.told) < enough:
             return None
         return self.search.preview(*population.members())
 
@@ -147,7 +155,7 @@ class State:
         loss, told = (loss, told) if finite else (np.inf, np.inf)
         candidate = self.population.record(x, told)
         if candidate is None:
-            number = self.population.new_index()
+            number, self.population.drawn = self.population.drawn, self.population.drawn + 1
             exact = x = self.search.clipped(x[None])[0]  # what is rendered at x
         else:
             number, exact = candidate.index, candidate.x  # x may have lost digits on its way
