@@ -27,7 +27,7 @@ from fide_plugins.population import (
     columns,
     in_order,
 )
-from fide_plugins.proposers import channel_subsets, make_proposer, make_steps
+from fide_plugins.proposers import make_proposer, make_steps
 from fide_plugins.proposers.image_gate import ImageGate
 from fide_plugins.runtime.machine import timed
 from fide_plugins.runtime.messages import warn_user
@@ -186,7 +186,7 @@ class FIDE(Saved):
         """Lines 1 and 2; posterior: of a learned model, where the search begins."""
         o, k, learned = self.options, self.popsize, posterior is not None
         views, encoder = self.evaluator.views, self.evaluator.encoder
-        subsets = channel_subsets(o, encoder)
+        subsets = o.channel_subsets or encoder.channel_subsets
         layout = None if self.space is None else self.space.layout
         setting = Setting(k, np.broadcast_to(self.sigma0, self.dim), o, layout, self.validity)
         groups: Sequence[Sequence[int]] | None = o.groups
