@@ -22,7 +22,7 @@ from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.devices import resolve_device
 from fide_plugins.runtime.schema import anything, check
 from fide_plugins.types import Float32, Float64
-from fide_plugins.validation.pixels import Clipping, OnClip
+from fide_plugins.validation.values import Clipping, OnClip
 from fide_plugins.views import Views
 from fide_plugins.views.compared import encoder_of, loss_of
 

@@ -445,7 +445,7 @@ class FIDE(Saved):
         """
         points = as_points(X, self.dim)
         n, evaluator, given = len(points), self.evaluator, losses is not None
-        clipping = self.state.clipping.copy()
+        clipping = replace(self.state.clipping)  # a copy: the rest may fail
         batch = evaluator.as_batch(n, images, losses, features, clipping)
         with timed(self.state.times, "encode"):  # lines 7 and 9
             encode = self.state.proposer is not None and (given or not self.state.scales.blur)

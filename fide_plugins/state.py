@@ -43,7 +43,7 @@ from fide_plugins.search.moves import Stage, Start
 from fide_plugins.search.one_search import Search
 from fide_plugins.search.policy import MovePolicy
 from fide_plugins.types import Estimate, Float32, Float64, Posterior, Solution
-from fide_plugins.validation.pixels import Clipping
+from fide_plugins.validation.values import Clipping
 from fide_plugins.views.findings import PixelNoise
 
 if TYPE_CHECKING:

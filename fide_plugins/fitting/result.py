@@ -22,7 +22,7 @@ from fide_plugins.recording.record import Record, best_so_far
 from fide_plugins.recording.storage import RunDirectoryError, is_saved, read_run, with_optimizer
 from fide_plugins.renderers import naming
 from fide_plugins.runtime.messages import cut
-from fide_plugins.validation.pixels import ValueRange
+from fide_plugins.validation.values import ValueRange
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -28,7 +28,7 @@ from fide_plugins.space import Space
 from fide_plugins.status import Status
 from fide_plugins.types import Float32, Solution
 from fide_plugins.validation import image_files, images
-from fide_plugins.validation.pixels import ValueRange, restored, value_range_of
+from fide_plugins.validation.values import ValueRange, restored, value_range_of
 
 _CONTENTS = ("mask", "weights", "value_range")
 """Options that are recorded by what they are, not as they are given."""

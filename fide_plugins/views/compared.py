@@ -22,7 +22,7 @@ from fide_plugins.losses.base import (
 from fide_plugins.runtime.registry import name_of
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.types import Float32, Float64
-from fide_plugins.validation.pixels import warn_clipped
+from fide_plugins.validation.values import warn_clipped
 from fide_plugins.views.views import View, Views
 
 __all__ = ["CallableOfViews", "EncoderOfViews", "LossOfViews", "encoder_of", "loss_of"]

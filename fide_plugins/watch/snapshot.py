@@ -19,7 +19,7 @@ from fide_plugins.recording.storage import CHECKPOINT, read_record
 from fide_plugins.renderers.naming import flat
 from fide_plugins.runtime.files import MOST_BYTES, read_regular
 from fide_plugins.space import Space
-from fide_plugins.validation.pixels import MAX_PIXELS
+from fide_plugins.validation.values import MAX_PIXELS
 
 __all__ = ["PICTURES", "RunFiles"]
 
