@@ -264,7 +264,7 @@ class Search(Stateful):
             losses = losses.copy()  # those given are the caller's
             z[worst], losses[worst] = self.closest(point[0][None])[0], point[1]
             injected[worst] = True
-        pair = mirrored_pair(members)
+        pair = mirrored_pair(members) if self.distribution.draws_pair else None
         if pair is not None and injected[list(pair)].any():
             pair = None
         self.distribution.tell(z, losses, injected & self._guard, pair)
