@@ -17,8 +17,8 @@ import numpy as np
 from fide_plugins.errors import ImageError
 from fide_plugins.fide import FIDE
 from fide_plugins.fitting.pictures import canonical
-from fide_plugins.fitting.rendering import Rendered
-from fide_plugins.fitting.workers import Workers, gathered
+from fide_plugins.fitting.rendering import Rendered, Workers
+from fide_plugins.fitting.workers import gathered
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.types import OPEN, Float32, Float64, Indices
 from fide_plugins.uncertainty.at_answer import deviations_at, means, pixels_together

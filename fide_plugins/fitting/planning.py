@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fide_plugins.fitting.rendering import Rendered
+from fide_plugins.fitting.rendering import Rendered, Workers
 from fide_plugins.fitting.schedule import SHARE, Schedule
-from fide_plugins.fitting.workers import Workers, gathered
+from fide_plugins.fitting.workers import gathered
 from fide_plugins.runtime.messages import duration
 from fide_plugins.views import View
 

@@ -204,11 +204,11 @@ def test_it_is_drawn(kept: Result) -> None:
 
 
 def test_without_an_image_there_is_something_to_show() -> None:
-    def stop(self: object, run: Any) -> None:
+    def fails(params: object) -> Any:
         raise KeyError
 
-    with pytest.raises(FideError) as caught:
-        found(scene, NAMED, ANSWER, callbacks=type("Stop", (), {"on_start": stop})())
+    with pytest.warns(RuntimeWarning), pytest.raises(FideError) as caught:
+        fit(fails, scene(ANSWER), NAMED, workers=0)
     result = caught.value.result  # type: ignore[attr-defined]
     assert result.best is None and "best loss none" in repr(result)
     assert "waiting" not in result._repr_html_() and len(result.plot().axes) == 2
