@@ -23,8 +23,6 @@ from fide_plugins.runtime.threads import one_thread
 from fide_plugins.types import OPEN, Float32, Float64, Indices
 from fide_plugins.uncertainty.at_answer import deviations_at, means, pixels_together
 
-__all__ = ["MOST_NUMBERS", "numbers", "std_around"]
-
 MOST_NUMBERS = 500  # of the answer, above which slopes do not fit in little memory
 _STEP, _NEARER = 0.005, 0.2  # of the cube; times as far
 _LEAST = 0.25  # of a step, below which a wall leaves no side

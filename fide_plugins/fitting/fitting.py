@@ -24,10 +24,10 @@ from fide_plugins.fitting.failures import (
 )
 from fide_plugins.fitting.fidelity import WorkersAsked
 from fide_plugins.fitting.loop import Loop
-from fide_plugins.fitting.pictures import as_compared, as_told, best_compared, canonical, shown
+from fide_plugins.fitting.pictures import as_compared, as_told, canonical, shown
 from fide_plugins.fitting.planning import Planner
 from fide_plugins.fitting.rendering import Failed, Outcome, Renderer, Workers
-from fide_plugins.fitting.result import Result, histories
+from fide_plugins.fitting.result import Result, result_of
 from fide_plugins.fitting.saved_run import SavedRun, Unsaved
 from fide_plugins.fitting.schedule import Schedule
 from fide_plugins.fitting.stopping import Stopping
@@ -41,8 +41,6 @@ from fide_plugins.uncertainty.at_answer import AtAnswer
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
     from fide_plugins.types import Float64, Solution
-
-__all__ = ["FitInterrupted", "Fitting"]
 
 _MORE = 10  # one part in so many: renders beyond the budget
 _SHOW_INTERVAL = 0.1  # seconds between two reports of a search that goes on
@@ -343,34 +341,23 @@ class Fitting:
 
     def _result(self, stopped: str) -> Result:
         loop, optimizer, solutions = self._loop, self.optimizer, self._solutions
-        best = solutions[0] if solutions else None
-        validity = optimizer.validity
         self._note_pending()
         searched = max(loop.search_ended - loop.search_began, 1e-9)
-        record = self.record if loop.whole else None
-        adapts = optimizer.evaluator.comparison is not None
-        compared = best_compared(optimizer) if adapts else None
-        return Result(
-            best=best,
-            params=None if best is None else self._renderer.params(best.x),
-            solutions=solutions,
-            status=optimizer.status,
-            target=optimizer.target,
-            weights=optimizer.weights,
-            loss=optimizer.evaluator.loss.name,
+        record, validity = self.record if loop.whole else None, optimizer.validity
+        return result_of(
+            optimizer,
+            self.record,
+            solutions,
+            params=self._renderer.params(solutions[0].x) if solutions else None,
             failures=self._failures.count,
             rejected=None if validity is None else validity.share_rejected,
             first_failure=self._failures.first,
             busy=min(1.0, self._render_seconds / searched / max(1, self._workers.number)),
             stopped=stopped,
             out=None if self.saved is None else self.saved.path,
-            clipped=optimizer.clipped,
-            value_range=optimizer.value_range,
             std_renders=self._std_renders,
             plan=() if self._planner is None else tuple(self._planner.lines),
-            compared=None if compared is None else shown(optimizer, compared),
             unsaved=Unsaved(optimizer, record, self._plan, stopped, solutions),
-            **histories(self.record, optimizer.dim),
         )
 
 

@@ -24,8 +24,6 @@ from fide_plugins.recording.record import Record
 from fide_plugins.recording.signals import Interrupts
 from fide_plugins.types import Float64, Optimizer
 
-__all__ = ["Loop", "Steps"]
-
 _LONGEST = 86400.0  # seconds of one waiting; the system takes no longer ones than 292 years
 
 

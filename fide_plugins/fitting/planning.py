@@ -18,8 +18,6 @@ from fide_plugins.views import View
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
 
-__all__ = ["Planner"]
-
 _ENOUGH = 4  # renders that say what one takes, where sizes are not compared
 _CHEAPER = 0.7  # of the time of the next size: a smaller one that takes more is left out
 _OWN = 0.001  # seconds that the optimizer takes for a candidate

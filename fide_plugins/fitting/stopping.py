@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
     from fide_plugins.fitting.schedule import Schedule
 
-__all__ = ["UNTIL", "Stopping"]
-
 UNTIL = ("solved", "stalled", "budget")
 _LAST = 1000  # candidates
 _PATIENCE = 150  # generations: a dozen moves or so

@@ -21,8 +21,6 @@ from fide_plugins.runtime.files import MOST_BYTES, read_regular
 from fide_plugins.space import Space
 from fide_plugins.validation.pixels import MAX_PIXELS
 
-__all__ = ["PICTURES", "RunFiles"]
-
 PICTURES = ("target.png", "best.png")
 _PNG = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
 _SIZE = struct.Struct(">II")
