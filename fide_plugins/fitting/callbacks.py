@@ -23,6 +23,8 @@ from fide_plugins.types import Float64
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
 
+__all__ = ["Callbacks", "Event", "StopFitting"]
+
 _METHODS = ("on_evaluation", "on_end")
 
 

@@ -26,6 +26,8 @@ from fide_plugins.errors import CheckpointError
 from .files import RefusedFileError, atomic_writer, open_regular
 from .schema import IMPOSSIBLE
 
+__all__ = ["VERSION", "VERSION_REMEDY", "read", "write"]
+
 VERSION = 6
 VERSION_REMEDY = "take the version of FIDE, and the weights, that wrote it"
 """What helps against a state whose features or losses are of another version."""

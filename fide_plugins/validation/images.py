@@ -52,6 +52,9 @@ from fide_plugins.validation.pixels import (
 )
 from fide_plugins.validation.points import whole_number
 
+__all__ = ["alpha_of", "as_batch", "as_target", "is_image", "load", "save", "warn_clipped"]
+
+
 # -- public ----------------------------------------------------------------------------------------
 
 
