@@ -32,7 +32,6 @@ from fide_plugins.errors import ImageError
 from fide_plugins.types import Float32, Mask
 from fide_plugins.validation.points import whole_number
 from fide_plugins.validation.values import (
-    MAX_PIXELS,
     ROUNDING,
     Clip,
     OnClip,
@@ -44,16 +43,7 @@ from fide_plugins.validation.values import (
     warn_clipped,
 )
 
-__all__ = [
-    "MAX_PIXELS",
-    "alpha_of",
-    "as_batch",
-    "as_target",
-    "is_image",
-    "load",
-    "save",
-    "warn_clipped",
-]
+__all__ = ["alpha_of", "as_batch", "as_target", "is_image", "load", "save", "warn_clipped"]
 
 
 Size: TypeAlias = tuple[int, int]  # (H, W)
