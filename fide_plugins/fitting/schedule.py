@@ -20,12 +20,10 @@ from fide_plugins.fitting.pictures import as_told
 from fide_plugins.fitting.rendering import Failed, Outcome, Rendered
 from fide_plugins.runtime.messages import warn_user
 from fide_plugins.types import Float64
-from fide_plugins.validation.pixels import Clipping
+from fide_plugins.validation.values import Clipping
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
-
-__all__ = ["SHARE", "Schedule"]
 
 _RISE = 4  # times as many samples, or pixels
 _PAIRS, _FEWEST_PAIRS, _EVERY = 16, 8, 18  # renders of one candidate twice: kept, needed, one of

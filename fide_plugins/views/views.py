@@ -17,7 +17,7 @@ from fide_plugins.errors import ImageError
 from fide_plugins.runtime.schema import array, check, real, row
 from fide_plugins.types import Float32, Float64, Mask
 from fide_plugins.validation.images import alpha_of, as_batch, as_pixels, as_target, is_image
-from fide_plugins.validation.pixels import (
+from fide_plugins.validation.values import (
     AUTO,
     Clip,
     OnClip,
@@ -142,10 +142,10 @@ def joined(a: Float32 | None, b: Float32 | None, what: str) -> Float32 | None:
 # -- one view --------------------------------------------------------------------------------------
 
 
-def _hidden_by(weights: Float32 | None) -> Mask | None:
+def _hidden_by(weights: Float32) -> Mask | None:
     """Pixels (H, W) of weight 0; None if there are none."""
-    hidden = None if weights is None else weights == 0
-    return None if hidden is None or not hidden.any() else hidden
+    hidden: Mask = weights == 0
+    return hidden if hidden.any() else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +172,7 @@ class View:
     @cached_property
     def hidden(self) -> Mask | None:
         """(H, W), pixels of weight 0, where a render may have any values; None: all count."""
-        return _hidden_by(self.weights)
+        return None if self.weights is None else _hidden_by(self.weights)
 
     @cached_property
     def _roots(self) -> Float32:
@@ -246,6 +246,7 @@ class Views:
 
     views: at least one.
     listed: whether the target was a list, so that renders are, too.
+    plain: whether there is one view without weights, given as such.
     values: those of a user's images that are 0 and 1 here; None: 0 and 1.
     """
 
@@ -253,6 +254,7 @@ class Views:
         self, views: Sequence[View], *, listed: bool, values: ValueRange | None = None
     ) -> None:
         self.views, self.listed, self.values = tuple(views), listed, values
+        self.plain = not listed and views[0].weights is None
         for view in views:
             view.target.flags.writeable = False
 
@@ -273,7 +275,7 @@ class Views:
 
         Raises ImageError, naming the view; OptionError for what is no range.
         """
-        values = value_range_of(value_range)
+        values = None if value_range is None else value_range_of(value_range)
         if isinstance(target, Views) and mask is None and weights is None and values is None:
             return target
         listed, raw = is_list_of_images(target), values is not None
@@ -285,10 +287,13 @@ class Views:
         for i, (pixels, one, other) in enumerate(zip(pictures, masks, others, strict=True)):
             of = f" of view {i}" if listed else ""
             size = pixels.shape[0], pixels.shape[1]
-            first = read_weights(one, pixels, size, f"mask{of}")
-            second = read_weights(other, pixels, size, f"weights{of}")
-            given.append(joined(first, second, f"mask times weights{of}"))
-        hidden = [_hidden_by(one) for one in given]
+            made: Float32 | None = None
+            if one is not None or other is not None:
+                first = read_weights(one, pixels, size, f"mask{of}")
+                second = read_weights(other, pixels, size, f"weights{of}")
+                made = joined(first, second, f"mask times weights{of}")
+            given.append(made)
+        hidden = [None if one is None else _hidden_by(one) for one in given]
         if values == AUTO:
             values = range_of(zip(pictures, hidden, strict=True))
         assert not isinstance(values, str)
@@ -328,11 +333,6 @@ class Views:
     def value_range(self) -> tuple[float, float] | None:
         """Values of a user's images that are 0 and 1 here; None: 0 and 1."""
         return None if self.values is None else (self.values.low, self.values.high)
-
-    @property
-    def plain(self) -> bool:
-        """Whether there is one view without weights, given as such."""
-        return not self.listed and self.views[0].weights is None
 
     @cached_property
     def target(self) -> Float32:
