@@ -16,8 +16,6 @@ from fide_plugins.runtime.schema import Plain, Schema, Sides, Stateful, array, w
 from fide_plugins.search.mixed import Axes, shorter
 from fide_plugins.types import Float32, Float64
 
-__all__ = ["Descents"]
-
 _ROUNDS = (
     (0.0125, 0.005, 3, "S"),
     *((0.0125, 0.005, 3, kind) for kind in "JTT"),

@@ -26,8 +26,6 @@ from fide_plugins.runtime.schema import Schema, array, check, maybe, real
 from fide_plugins.types import Float32, Float64
 from fide_plugins.views.views import DIGITS, View, Views
 
-__all__ = ["PixelNoise", "SameImages", "is_even_noise", "is_noise", "is_solved"]
-
 # -- all images are equal --------------------------------------------------------------------------
 
 _ENOUGH = 32  # candidates, which lie around the start, so that a parameter may show only elsewhere

@@ -9,8 +9,6 @@ import numpy as np
 from fide_plugins.types import Float32
 from fide_plugins.views.views import View, Views
 
-__all__ = ["enlarged", "reduced", "seen_at"]
-
 
 def reduced(views: Views, size: tuple[int, int]) -> Views:
     """Views of size (h, w): means of the pixels of each target, and of their weights."""

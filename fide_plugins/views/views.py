@@ -28,18 +28,6 @@ from fide_plugins.validation.values import (
     value_range_of,
 )
 
-__all__ = [
-    "ALPHA",
-    "DIGITS",
-    "View",
-    "Views",
-    "is_list_of_images",
-    "joined",
-    "one_a_view",
-    "read_weights",
-    "views_of",
-]
-
 ALPHA = "alpha"
 """In place of a mask: the alpha channel of the target."""
 DIGITS = 5e-7  # by which values in [0, 1] may differ in single precision
