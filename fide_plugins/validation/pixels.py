@@ -79,8 +79,6 @@ def typed(array: Pixels, what: str, got: str, raw: bool = False) -> Pixels:
     )
 
 
-# -- which values are black and white: 0 and 1, or the two numbers of a user's `value_range` -------
-
 AUTO: Final = "auto"
 
 
@@ -167,11 +165,8 @@ def range_of(pictures: Iterable[tuple[Pixels, Mask | None]]) -> ValueRange:
     return ValueRange(max(0.0, low - margin) if low >= 0 else low - margin, high + margin)
 
 
-# -- renders beyond [0, 1]: an overshoot, which is clipped, or another scale, which ends the run ---
-#
-# One image does not tell the two apart.  So a run counts, over all of its renders that go beyond 1,
-# the values that are not black, those of them above 1, and the mean of the latter.  Renders are on
-# another scale than the target where most of what is not black is above 1, and above 8 on average;
+# Renders beyond [0, 1] overshoot, and are clipped; or they are on another scale, which ends the
+# run: where, in all renders beyond 1, most of what is not black is above 1, and above 8 on average;
 # or where an image holds whole numbers only, up to more than 2 and at most 255.
 
 _LIT = 0.05  # values from here on are not black
@@ -274,8 +269,6 @@ def warn_clipped(clip: Clip) -> None:
     Clipping()(clip)
 
 
-# -- axes ------------------------------------------------------------------------------------------
-
 Size: TypeAlias = tuple[int, int]  # (H, W)
 
 CHANNELS = (1, 3, 4)  # gray, RGB, RGBA
@@ -338,8 +331,6 @@ def channels_last(pixels: Any, batch: int, may_be_first: bool, size: Size | None
     return pixels
 
 
-# -- values in [0, 1] ------------------------------------------------------------------------------
-
 _ROUNDING = 1e-6
 _LARGEST = 1e30  # of values that are added; there is no end to those of fireflies
 
@@ -392,20 +383,21 @@ def _tell_clipped(
     low, high = ends = extremes(seen)
     if values is not None:
         ends = values.low + low * values.span, values.low + high * values.span
-    of_bytes = values is None and low >= 0.0 and 2.0 < high <= 255 + _ROUNDING
-    of_bytes = of_bytes and bool((seen == seen.round()).all())
+    whole = values is None and low >= 0.0 and 2.0 < high <= 255 + _ROUNDING
+    of_bytes = whole and bool((seen == seen.round()).all())
     got, rule = f"values in [{ends[0]:.6g}, {ends[1]:.6g}], {about}", values or "[0, 1]"
-    remedy = (
-        f'give value_range=({min(0.0, ends[0]):.6g}, {max(1.0, ends[1]):.6g}) or "auto", in the '
-        "shell --value-range, or divide target and renders by the same number; clip what is an "
-        "overshoot"
-    )
     if what.startswith(("mask", "weights")):
         remedy = "divide them by the largest"
     elif values is not None:
         remedy = "give a wider value_range, which target and renders share"
     elif of_bytes:
         remedy = "divide by 255, target and renders alike, or give value_range=(0, 255)"
+    else:
+        remedy = (
+            f'give value_range=({min(0.0, ends[0]):.6g}, {max(1.0, ends[1]):.6g}) or "auto", in '
+            "the shell --value-range, or divide target and renders by the same number; clip what "
+            "is an overshoot"
+        )
     if on_clip is None or of_bytes:
         refused = ImageError if on_clip is None else ValueRangeError
         raise refused(f"{what} must have values in {rule}, got {got}; {remedy}")
