@@ -40,7 +40,7 @@ def read_pixels(path: str | os.PathLike[str], max_side: int | None, *, raw: bool
         if name.lower().endswith(".exr"):
             pixels = _by_openexr(name)
         elif name.lower().endswith(".hdr"):
-            pixels = _upright(_by_opencv(path, raw), image.getexif().get(_ORIENTATION, 1))
+            pixels = _by_opencv(path, raw)
         else:
             pixels, frames = _by_pillow(path, raw)
     except FileNotFoundError as e:
@@ -78,7 +78,7 @@ def _by_pillow(path: str | os.PathLike[str], raw: bool) -> tuple[Pixels, int]:
             for tile in tiles
         ):
             _check_size(*image.size, repr(os.fspath(path)))
-            pixels = _by_opencv(path, raw)
+            pixels = _upright(_by_opencv(path, raw), image.getexif().get(_ORIENTATION, 1))
         else:
             pixels = from_pil(image, repr(os.fspath(path)), raw=raw)
     return pixels, frames
