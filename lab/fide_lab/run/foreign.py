@@ -18,7 +18,7 @@ from fide_plugins.comparison.coverage import without_coverage
 from fide_plugins.recording.record import Record
 from fide_plugins.types import Float32, Float64, Optimizer
 from fide_plugins.validation.images import as_batch
-from fide_plugins.validation.pixels import Clipping
+from fide_plugins.validation.values import Clipping
 
 if TYPE_CHECKING:
     from fide_plugins.evaluation import Evaluator
