@@ -41,7 +41,7 @@ def test_compare_runs_it_in_two_processes() -> None:
     optimizers = "mine.py:Mine,mine.py:Mine:step=0.05,search:Elitist,random"
     words = ["compare", "voronoi", *SMALL, "--optimizers", optimizers, "--seeds", 1]
     assert fide(*words, "--jobs", 2, "--out", "out") == 0
-    report = Path("out/report.md").read_text()
+    report = Path("out/report.html").read_text()
     for name in ("mine.py:Mine", "mine.py:Mine:step=0.05", "search:Elitist"):
         assert name in report
     assert len(list(Path("out/cells").glob("voronoi/mse/*/seed-0/run.json"))) == 4

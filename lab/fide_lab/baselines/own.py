@@ -30,8 +30,6 @@ from fide_plugins.runtime.registry import Referent, module_fingerprint, shown_tr
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.points import as_points, whole_number
 
-__all__ = ["Own", "own"]
-
 _REFERENT = Referent(
     "optimizer",
     "a class with ask and tell",

@@ -1,4 +1,4 @@
-"""The report of a comparison: one page, tables, figures.
+"""The report of a comparison: one page, and a table of all runs.
 
 from fide_lab import compare
 from fide_lab import report

@@ -13,7 +13,7 @@ from scipy import stats
 from fide_lab.compare.results import Results
 from fide_lab.report import plots, sentences, statistics
 from fide_lab.report.document import Document, Picture, Section, Written, companion, page_path
-from fide_lab.report.tables import Strong, Table, as_csv, number, plain
+from fide_lab.report.tables import Strong, Table, as_csv, markdown, number
 from fide_lab.suite.scores import Scores, data_profile, scores
 from fide_plugins.runtime import files
 from fide_plugins.runtime.messages import counted
@@ -60,9 +60,7 @@ def write(results: Results, page: str | os.PathLike[str]) -> Written:
 
 
 def write_scores(found: Scores, origin: Origin, page: str | os.PathLike[str]) -> Written:
-    """Write the page, report.md, solved.csv and figures/ into one folder.
-
-    page: path of report.html.  For another name, the names of the other files start with it.
+    """Write the page, and solved.csv beside it, for a.html a-solved.csv.
 
     Raises OptionError (a ValueError) for a page without the suffix .html, DependencyError (an
     ImportError) without Jinja2, OSError if a file cannot be written.
@@ -72,7 +70,7 @@ def write_scores(found: Scores, origin: Origin, page: str | os.PathLike[str]) ->
     tables = [totals(found, names), by_scene(found, names), lowest(found, names)]
     said = [_part(found), *remarks(found)]
     title = "Share of problems solved within so many renders"
-    profile = Picture("data-profile", title, plots.png(data_profile_figure(found, names)))
+    profile = Picture(title, plots.png(data_profile_figure(found, names)))
     scenes = [found.suite.scenes[name] for name in found.scenes]
     thresholds = Table(
         "What counts as solved",
@@ -93,7 +91,7 @@ def write_scores(found: Scores, origin: Origin, page: str | os.PathLike[str]) ->
         {**origin.machine, **origin.versions},
     ).write(path)
     files.write_text(companion(path, "solved.csv"), _csv(found))
-    shown = "\n\n".join(map(plain, tables))
+    shown = "\n\n".join(map(markdown, tables))
     return Written(path, "\n".join(said) + f"\n\n{shown}\n")
 
 

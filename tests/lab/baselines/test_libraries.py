@@ -97,15 +97,16 @@ def test_the_surroundings_are_those_of_the_library_after_ctrl_c_too(
             depth -= 1
 
     caller = ReverseCommunication(count, around)
-    wait = caller._wait
+    points = caller._points
 
-    def interrupted() -> None:
-        depths.append(depth)
-        if len(depths) == 1:
-            raise KeyboardInterrupt
-        wait()
+    class Interrupted:
+        def get(self) -> Any:
+            depths.append(depth)
+            if len(depths) == 1:
+                raise KeyboardInterrupt
+            return points.get()
 
-    monkeypatch.setattr(caller, "_wait", interrupted)
+    monkeypatch.setattr(caller, "_points", Interrupted())
     with pytest.raises(KeyboardInterrupt):
         caller.point()
     assert caller.point() is not None

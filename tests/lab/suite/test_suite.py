@@ -129,15 +129,11 @@ def test_a_part_from_the_command_line(
     text = (out / "report.html").read_text()
     assert text.count("<img ") == 1 and "1 of 110 problems" in text
     assert "3 optimizers, 1 problem of 1 scene, read at 40 renders" in text
-    assert "eki:popsize=20" in text and "| eki:popsize=20 |" in (out / "report.md").read_text()
-    assert (out / "figures" / "data-profile.png").is_file()
-    assert "fide compare --suite" in (out / "report.md").read_text()
+    assert "eki:popsize=20" in text and "fide compare --suite" in text
     before = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
     assert fide("report", out, "-o", out / "a b.html") == 0
     assert {path.name: path.read_bytes() for path in out.iterdir() if path.name in before} == before
     assert (out / "a b-solved.csv").read_text() == (out / "solved.csv").read_text()
-    assert (out / "a b-figures" / "data-profile.png").is_file()
-    assert "](a%20b-figures/data-profile.png)" in (out / "a b.md").read_text()
     assert fide("report", out, "-o", out / "page.txt") == 2
 
 
@@ -176,8 +172,7 @@ def test_failed_runs_are_unsolved_and_open_ones_left_out(
         f"{', '.join(broken)}."
     )
     assert "3 of 110 problems" in printed.out and sentence in printed.out
-    for name in ("report.html", "report.md"):
-        assert sentence in Path("out", name).read_text().replace("\\", "")
+    assert sentence in Path("out/report.html").read_text()
     rows = [line.split(",") for line in Path("out/solved.csv").read_text().splitlines()]
     for problem in broken:
         assert [problem, "", "inf"] in [[r[0], *r[3:]] for r in rows if r[2] == "mine.py:Breaks"]
