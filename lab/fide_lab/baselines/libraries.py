@@ -435,7 +435,7 @@ def nevergrad(method: str) -> type[Nevergrad]:
 
 
 def optuna(method: str) -> type[Optuna]:
-    """Class of the sampler `method` of Optuna, called "optuna:METHOD" here; raises as `nevergrad`."""
+    """Class of the sampler `method` of Optuna, "optuna:METHOD" here; raises as `nevergrad`."""
     try:
         from optuna import samplers
     except ImportError as error:

@@ -4,8 +4,8 @@
     fide report runs/first -o comparison.html --threshold mse=0.001 --threshold spline/mse=0.05
     fide report runs/suite -o rivals.html --optimizers fide,cma
 
-The command writes one self-contained page, which needs no network, and results.csv beside it; beside
-comparison.html that is comparison-results.csv.
+The command writes one self-contained page, which needs no network, and results.csv beside it
+(comparison-results.csv beside comparison.html).
 --optimizers shows some of the optimizers, such as those that have been run on every problem.
 """
 
@@ -18,8 +18,6 @@ from fide_lab.cli.arguments import thresholds
 from fide_plugins.cli.arguments import names, path
 from fide_plugins.cli.terminal import USAGE_ERRORS, complain, note, plain, warnings_as_notes
 from fide_plugins.errors import OptionError
-
-__all__ = ["add_arguments", "execute", "make"]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

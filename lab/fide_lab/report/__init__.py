@@ -5,6 +5,7 @@ from fide_lab import report
 report.write(compare.read("runs/first"), "runs/first/report.html")
 """
 
-from fide_lab.report.page import Written, write
+from fide_lab.report.document import Written
+from fide_lab.report.page import write
 
 __all__ = ["Written", "write"]

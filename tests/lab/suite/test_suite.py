@@ -118,7 +118,7 @@ def test_a_part_from_the_command_line(
     assert fide(*words, "--optimizers", "cma,random") == 0
     printed = capsys.readouterr()
     assert "povray of image-fitting-v1 is left out, it cannot be rendered" in printed.err
-    assert "image-fitting-v1: 2 runs of 40 renders each (--scenes, --targets" in printed.err
+    assert "image-fitting-v1: 2 runs of 40 renders (--scenes, --targets" in printed.err
     assert "This is a part of the suite image-fitting-v1: 1 of 110 problems" in printed.out
     assert fide(*words, "--optimizers", "cma,eki:popsize=20", "--resume") == 0
     lines = (out / "solved.csv").read_text().splitlines()
