@@ -11,8 +11,6 @@ from fide_plugins.types import Float32
 from fide_plugins.validation.pixels import Clipping, is_path, is_pil, is_torch_tensor
 from fide_plugins.views import Views
 
-__all__ = ["ImageLoss", "ImageReader", "Result", "is_image", "read_result"]
-
 
 class ImageLoss(float):
     """A loss that carries the image that it was computed from.

@@ -21,16 +21,6 @@ from fide_plugins.runtime.threads import one_thread, user_threads
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.images import as_batch, as_target
 
-__all__ = [
-    "CallableLoss",
-    "ImageLoss",
-    "LossOfTarget",
-    "LossWithoutTarget",
-    "as_losses",
-    "check_loss",
-    "loss_not_stored",
-]
-
 
 class ImageLoss(Protocol):
     """Interface of a loss for optimizers."""

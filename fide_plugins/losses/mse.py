@@ -7,8 +7,6 @@ import numpy as np
 from fide_plugins.losses.base import LossOfTarget
 from fide_plugins.types import Float32
 
-__all__ = ["MeanSquaredError"]
-
 
 class MeanSquaredError(LossOfTarget):
     """sum (image - target)^2 / (3 H W), each difference and the sum in float64.

@@ -25,8 +25,6 @@ from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.pixels import warn_clipped
 from fide_plugins.views.views import View, Views
 
-__all__ = ["CallableOfViews", "EncoderOfViews", "LossOfViews", "encoder_of", "loss_of"]
-
 
 def loss_of(
     views: Views,
@@ -36,11 +34,10 @@ def loss_of(
 ) -> ImageLoss:
     """Loss from a name, None for "mse", a callable, or a loss of one view that was made.
 
-    A callable gets a list of batches (n, H, W, 3) if the target is a list, one batch otherwise.  A
-    user's own is tried on the target first (`losses.base`).
-    Raises as `losses.resolve`; LossError for a made loss where there are several views.
+    A user's own is tried on the target first.  Raises as `losses.resolve`, and LossError for a made
+    loss where there are several views.
     """
-    if isinstance(loss, LossOfViews | CallableOfViews):
+    if isinstance(loss, LossOfViews):
         return loss
     if views.plain:
         made = losses.resolve(loss, views.target, device=device)
@@ -55,10 +52,9 @@ def loss_of(
                 f"{len(views.views)} views; pass its name, or a function of a list of batches"
             )
         made = losses.resolve(loss, views.target)
-        spec = made.spec
-        if spec is not None:  # as a checkpoint makes it again
-            made = _of_view(spec, views.views[0], device)
-        return LossOfViews(views, [made], spec)
+        spec = made.spec  # by which a checkpoint makes it again
+        one = made if spec is None else _of_view(spec, views.views[0], device)
+        return LossOfViews(views, [one], spec)
     if not callable(loss):
         return losses.resolve(loss, views.target)  # raises
     several = CallableOfViews(views, loss)
@@ -98,8 +94,7 @@ class LossOfViews:
     def compute(self, batch: Float32) -> Float64:
         """Losses (n,) of packed renders, without further checks."""
         parts = zip(self.views.views, self._each, self.views.split(batch), strict=True)
-        mean: Float64 = np.mean([self._of_view(*part) for part in parts], axis=0)  # of (n,) each
-        return mean
+        return np.asarray(np.mean([self._of_view(*part) for part in parts], axis=0))
 
     def _of_view(self, view: View, loss: ImageLoss, part: Float32) -> Float64:
         knows_weights = getattr(loss, "weights", None) is not None
@@ -110,7 +105,7 @@ class LossOfViews:
         return values
 
 
-class CallableOfViews:
+class CallableOfViews(LossOfViews):
     """A user's function of what is seen of the views, with checks of its values."""
 
     version = None
@@ -118,10 +113,6 @@ class CallableOfViews:
 
     def __init__(self, views: Views, function: Callable[..., object]) -> None:
         self.views, self.name, self._function = views, name_of(function), function
-
-    def __call__(self, images: object) -> Float64:
-        """Losses (n,) of images, as `FIDE.tell` takes them."""
-        return self.compute(self.views.as_batch(images, None, warn_clipped))
 
     @user_threads
     def compute(self, batch: Float32) -> Float64:

@@ -19,8 +19,6 @@ from fide_plugins.runtime.schema import Schema, array, check, maybe, real
 from fide_plugins.types import Float32, Float64
 from fide_plugins.views.views import Views
 
-__all__ = ["PixelNoise", "is_even_noise", "is_noise"]
-
 _LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))  # rows, columns to a neighbor
 _CORRELATED = 0.1  # correlation of neighbors from which on a difference is no noise alone
 _WINDOW = 8  # pixels of a side, whose differences of neighbors say how strong noise is there
@@ -77,7 +75,7 @@ class PixelNoise:
             return None
         asked = (image, target, self.variance)
         if list(map(id, self._last[0])) != list(map(id, asked)):  # `_last` keeps them alive
-            self._last = asked, self._left(image, target, self.variance)
+            self._last = asked, self._left(*asked)
         return self._last[1]
 
     def _left(self, image: Float32, target: Float32, variance: float) -> float | None:

@@ -7,8 +7,6 @@ import numpy as np
 from fide_plugins.runtime.messages import warn_user
 from fide_plugins.types import Float32, Float64
 
-__all__ = ["SameImages"]
-
 _LEAST = 32  # candidates, which lie around the start, so that a parameter may show only elsewhere
 _ROUNDING = 2e-6  # a GPU renders the same image with other last bits: by 1e-7 to 1e-6
 _RELATIVE, _ABSOLUTE = 1e-4, 1e-9  # by which losses of such images differ at most
@@ -63,6 +61,5 @@ class SameImages:
             warn_user(
                 f"all images of the first {self.number} candidates are equal: no parameter has "
                 "changed the image so far; does render use its parameters, and do their ranges "
-                "change what is seen? (These candidates lie around the start of the search: "
-                "elsewhere in the box images may differ.)"
+                "change what is seen? (Elsewhere in the box images may differ.)"
             )

@@ -14,8 +14,6 @@ from scipy.ndimage import uniform_filter
 from fide_plugins.types import Float32
 from fide_plugins.views.views import DIGITS, View, Views
 
-__all__ = ["is_solved"]
-
 _LEVELS = 255
 _ROUNDING = 1 / 12  # mean square of rounding to whole steps
 _MOST = 16  # steps

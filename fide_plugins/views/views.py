@@ -19,7 +19,6 @@ from fide_plugins.types import Float32, Float64, Mask
 from fide_plugins.validation.images import alpha_of, as_batch, as_pixels, as_target, is_image
 from fide_plugins.validation.pixels import (
     AUTO,
-    Clip,
     OnClip,
     Pixels,
     ValueRange,
@@ -27,18 +26,6 @@ from fide_plugins.validation.pixels import (
     restored,
     value_range_of,
 )
-
-__all__ = [
-    "ALPHA",
-    "DIGITS",
-    "View",
-    "Views",
-    "is_list_of_images",
-    "joined",
-    "one_a_view",
-    "read_weights",
-    "views_of",
-]
 
 ALPHA = "alpha"
 """In place of a mask: the alpha channel of the target."""
@@ -78,17 +65,15 @@ def one_a_view(name: str, given: object, targets: Sequence[object]) -> list[obje
     Raises ImageError for another number of them, or a single one where the sizes differ.
     """
     k = len(targets)
-    if given is None or (isinstance(given, str) and given == ALPHA):
-        return [given] * k
     if isinstance(given, list | tuple):
+        got = f"{len(given)} of them"
         if len(given) == k:
             return list(given)
-        got = f"{len(given)} of them"
     else:
-        shapes = [picture.shape for picture in _opened(targets, raw=True)]
-        if len({shape[:2] for shape in shapes}) == 1:
+        got = "a single one, which needs views of one size"
+        plain = given is None or (isinstance(given, str) and given == ALPHA)
+        if plain or len({picture.shape[:2] for picture in _opened(targets, raw=True)}) == 1:
             return [given] * k
-        got = f"a single one, which needs views of one size, not {_sizes_of(shapes)}"
     raise ImageError(
         f"{name} must be a list with one entry for each of the {k} views, None for a view "
         f"without; got {got}"
@@ -144,8 +129,7 @@ def joined(a: Float32 | None, b: Float32 | None, what: str) -> Float32 | None:
 
 def _hidden_by(weights: Float32 | None) -> Mask | None:
     """Pixels (H, W) of weight 0; None if there are none."""
-    hidden = None if weights is None else weights == 0
-    return None if hidden is None or not hidden.any() else hidden
+    return None if weights is None or weights.all() else weights == 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,8 +161,7 @@ class View:
     @cached_property
     def _roots(self) -> Float32:
         assert self.weights is not None
-        roots: Float32 = np.sqrt(self.weights)[..., None]
-        return roots
+        return np.sqrt(self.weights)[..., None]
 
     @cached_property
     def filled(self) -> Float32:
@@ -208,8 +191,7 @@ class View:
             return batch
         roots = self._roots
         with np.errstate(under="ignore"):  # a tiny difference times a weight
-            blended: Float32 = np.where(roots == 1, batch, t + roots * (batch - t))
-        return blended
+            return np.where(roots == 1, batch, t + roots * (batch - t))
 
     def difference(self, image: Float32, other: Float32) -> Float64:
         """Difference of two images, (H, W, 3), whose mean square is the weighted one."""
@@ -276,18 +258,19 @@ class Views:
         values = value_range_of(value_range)
         if isinstance(target, Views) and mask is None and weights is None and values is None:
             return target
-        listed, raw = is_list_of_images(target), values is not None
+        listed = is_list_of_images(target)
         if not listed and (is_list_of_images(mask) or is_list_of_images(weights)):
             raise ImageError("a list of masks or weights needs a list of targets, one for each")
-        pictures, given = _opened(target, raw), []
-        masks = one_a_view("mask", mask, target) if listed else [mask]  # type: ignore[arg-type]
-        others = one_a_view("weights", weights, target) if listed else [weights]  # type: ignore[arg-type]
-        for i, (pixels, one, other) in enumerate(zip(pictures, masks, others, strict=True)):
+        pictures, given = _opened(target, values is not None), []
+        many = {"mask": [mask], "weights": [weights]}
+        if listed:
+            many = {k: one_a_view(k, v, target) for k, (v,) in many.items()}  # type: ignore[arg-type]
+        for i, (pixels, *pair) in enumerate(zip(pictures, *many.values(), strict=True)):
             of = f" of view {i}" if listed else ""
             size = pixels.shape[0], pixels.shape[1]
-            first = read_weights(one, pixels, size, f"mask{of}")
-            second = read_weights(other, pixels, size, f"weights{of}")
-            given.append(joined(first, second, f"mask times weights{of}"))
+            named = zip(many, pair, strict=True)
+            both = [read_weights(one, pixels, size, f"{name}{of}") for name, one in named]
+            given.append(joined(*both, f"mask times weights{of}"))
         hidden = [_hidden_by(one) for one in given]
         if values == AUTO:
             values = range_of(zip(pictures, hidden, strict=True))
@@ -377,10 +360,8 @@ class Views:
             first = images[0] if self.listed and isinstance(images, list | tuple) else images
             n = len(first) if hasattr(first, "__len__") else 0
         if not self.listed:
-            hidden, values = self.views[0].hidden, self.values
-            return as_batch(
-                images, self.target.shape, n=n, on_clip=on_clip, hidden=hidden, values=values
-            )
+            hidden, values, shape = self.views[0].hidden, self.values, self.target.shape
+            return as_batch(images, shape, n=n, on_clip=on_clip, hidden=hidden, values=values)
         if isinstance(images, np.ndarray) and images.shape == (n, *self.target.shape):
             return as_batch(images, self.target.shape, n=n, on_clip=on_clip)  # packed
         if not isinstance(images, list | tuple) or len(images) != len(self.views):
@@ -391,20 +372,19 @@ class Views:
                 f"view, {self.sizes}; got {got}{shape}; renders candidate by candidate become that "
                 "by list(zip(*images))"
             )
-        batches = []
-        for i, (view, batch) in enumerate(zip(self.views, images, strict=True)):
+        made = [self._one_batch(i, batch, n, on_clip) for i, batch in enumerate(images)]
+        return self.pack(made, (n,))
 
-            def said(clip: Clip, i: int = i) -> None:
-                on_clip(clip.of_view(i))
-
-            try:
-                made = as_batch(
-                    batch, view.size, n=n, on_clip=said, hidden=view.hidden, values=self.values
-                )
-            except ImageError as error:
-                raise type(error)(f"view {i}: {error}") from error
-            batches.append(made)
-        return self.pack(batches, (n,))
+    def _one_batch(self, i: int, batch: object, n: int, on_clip: OnClip) -> Float32:
+        """Renders of one of several views; errors name it."""
+        view = self.views[i]
+        try:
+            return as_batch(
+                batch, view.size, n=n, on_clip=lambda clip: on_clip(clip.of_view(i)),
+                hidden=view.hidden, values=self.values,
+            )  # fmt: skip
+        except ImageError as error:
+            raise type(error)(f"view {i}: {error}") from error
 
     def split(self, batch: Float32) -> list[Float32]:
         """Renders (n, H, W, 3) of each view."""
@@ -468,8 +448,7 @@ class Views:
         if not self.listed:
             return pictures[0]
         flat = [one.reshape(*leading, -1, 1, one.shape[-1]) for one in pictures]
-        packed: Float32 = np.concatenate(flat, axis=len(leading))
-        return packed
+        return np.concatenate(flat, axis=len(leading))
 
     @classmethod
     def from_settings(cls, settings: Mapping[str, Any]) -> Views:

@@ -28,6 +28,8 @@ from fide_plugins.types import Optimizer
 if TYPE_CHECKING:
     from fide_plugins.space import Space
 
+__all__ = ["check", "load", "make", "names", "options", "register", "source_of"]
+
 PLACES: Mapping[str, str] = {"fide": "fide_plugins.fide:FIDE", **BASELINES}
 """Where the classes of ours are."""
 _REGISTRY: Registry[Any] = Registry("optimizer", [f"{family}:NAME" for family in FAMILIES])

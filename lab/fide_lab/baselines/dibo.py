@@ -402,7 +402,7 @@ class DiBO(Baseline):
     precision: "double" or "single".
 
     The other options are those of `Baseline`; `sigma0` is not used.  The defaults are those of
-    the FIDE paper, which took them from the authors' for problems of like size.
+    the FIDE paper, which took them from the authors'.  Raises OptionError.
     """
 
     name: ClassVar[str] = "dibo"

@@ -13,7 +13,7 @@ from fide_plugins.validation.options import one_of
 
 
 class Random(Baseline):
-    """Independent points from the uniform distribution on [0, 1]^dim; options of `Baseline`."""
+    """Independent uniform points; options of `Baseline`.  Raises OptionError."""
 
     name: ClassVar[str] = "random"
 
@@ -39,7 +39,7 @@ class CMA(Baseline):
     restarts: "same" starts again with the same population, "ipop" doubles it each time
         (Auger and Hansen 2005), "none" goes on with the search as it is.
 
-    The other options are those of `Baseline`.
+    The other options are those of `Baseline`.  Raises OptionError.
     """
 
     name: ClassVar[str] = "cma"

@@ -157,7 +157,7 @@ class Inverse(ImageBased):
     batch_size, width, blocks: of the training and the network, see `denoiser`.
 
     The features of all uniform points are kept in memory until the training.  It cannot be resumed.
-    The other options are those of `ImageBased`; `sigma0` is not used.
+    The other options are those of `ImageBased`; `sigma0` is not used.  Raises OptionError.
     """
 
     name: ClassVar[str] = "inverse"
@@ -229,6 +229,8 @@ class EKI(ImageBased):
     popsize: k, members of the ensemble, at least 2; None: 100, or 2 d if that is more.
     channels: of the tokens of the encoder; by default the mean colors of 14 x 14 patches.
     patience: generations without a better loss after which an ensemble is given up.
+
+    Raises OptionError, and ImageError without a target.
     """
 
     name: ClassVar[str] = "eki"
@@ -353,7 +355,7 @@ class FIDEAnnealing(ImageBased, Sequential):
     encoder, channels: of the images, see `ImageBased`; the paper's simplest by default.
     step: of the finite differences of the local search; None: SciPy's own, 1e-8.
 
-    The other options are those of `ImageBased`; `sigma0` is not used.
+    The other options are those of `ImageBased`; `sigma0` is not used.  Raises OptionError.
     """
 
     name: ClassVar[str] = "fide-annealing"

@@ -196,7 +196,7 @@ class DualAnnealing(Sequential):
     step: of the finite differences; None: SciPy's own, 1e-8, by which an image of 32-bit numbers
         does not change.  `lab/reports/baselines.md` has both.
 
-    `sigma0` is not used.
+    `sigma0` is not used.  Raises OptionError.
     """
 
     name: ClassVar[str] = "dual-annealing"

@@ -180,11 +180,14 @@ def own(optimizer: str | type) -> type[Own]:
             f"the constructor of {name} must have a parameter dim, and may have target, seed "
             f"and budget; it {what}: {inspect.signature(found)}; give other parameters a default"
         )
+    if isinstance(found, type):  # before anything is rendered
+        _check_methods(name, found)
     return type("Own", (Own,), {"name": name, "made_by": staticmethod(found), "source": source})
 
 
 def _check_methods(optimizer: str, found: Any) -> None:
-    """Raise OptionError if `ask` and `tell` break the protocol."""
+    """Raise OptionError if `ask` and `tell` of a class or an object break the protocol."""
+    first = (None,) if isinstance(found, type) else ()  # self
     forms = {"ask": "ask(n)", "tell": "tell(X, losses) or tell(X, images, losses)"}
     for name, form in forms.items():
         method = getattr(found, name, None)
@@ -193,7 +196,7 @@ def _check_methods(optimizer: str, found: Any) -> None:
         signature = inspect.signature(method)
         given = 1 if name == "ask" else 3 if "images" in signature.parameters else 2
         try:
-            signature.bind(*range(given))
+            signature.bind(*first, *range(given))
         except TypeError as error:
             wrong = f"{name}{signature}: {error}"
             raise OptionError(f"{name} of {optimizer} must be {form}, not {wrong}") from None

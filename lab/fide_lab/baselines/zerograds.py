@@ -88,7 +88,7 @@ class ZeroGrads(Baseline):
     proxy_rate: of the network.
     sigma0: standard deviation of the offsets, at all times.
 
-    The other options are those of `Baseline`.
+    The other options are those of `Baseline`.  Raises OptionError.
     """
 
     name: ClassVar[str] = "zerograds"

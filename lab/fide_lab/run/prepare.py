@@ -39,8 +39,9 @@ def run(
     on_progress: Callable[[Progress], None] | None = None,
     **settings: Any,
 ) -> RunResult:
-    """Fit `task` with `optimizer`, and return the result; arguments and errors as of `prepare`.
+    """Fit `task` with `optimizer`, and return the result.
 
+    loss, budget, seed, settings: as of `prepare`, which raises their errors.
     on_progress: called after each piece of a generation.  Raises also what `Run.execute` raises.
     """
     return prepare(task, optimizer, loss, budget, seed, **settings).execute(on_progress)
