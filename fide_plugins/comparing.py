@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fide_plugins.population.candidate import Memory
+from fide_plugins.population import Memory
 from fide_plugins.search.moves import Start
 from fide_plugins.types import Float64
 

@@ -107,6 +107,7 @@ class Evaluator:
             encoder = OwnEncoder(encoder, device=resolve_device(device, for_network=for_network))
         self.encoder = encoder_of(self.views, encoder)
         self._how: dict[str, Any] = {}
+        self._blurred: dict[float, torch.Tensor] = {}  # tokens of the target, by the blur
         self._photo, self._auto = photo, photometric == "auto" or (photo and photometric is None)
         self.comparison: Comparison | None = None
         if photo or not (photometric is None and robust is None and background is None):
@@ -120,7 +121,7 @@ class Evaluator:
 
     def _compared_by(self, **how: Any) -> Comparison:
         """A comparison with the present views and loss."""
-        name = self.loss_name
+        name = self.loss.spec
         loss_at = None if name is None else partial(loss_of, loss=name, device=self._device)
         return Comparison(self.views, self.loss, loss_at, **how)
 
@@ -136,8 +137,8 @@ class Evaluator:
 
     def _copy(self) -> Evaluator:
         other = copy.copy(self)
-        for cached in ("_compared", "_blurred"):
-            other.__dict__.pop(cached, None)
+        other.__dict__.pop("_compared", None)
+        other._blurred = {}
         return other
 
     def comparing(self, state: Mapping[str, Any] | None) -> Evaluator:
@@ -146,7 +147,7 @@ class Evaluator:
             return self
         other = self._copy()
         other.comparison = other._compared_by(**{**self._how, **checked(state)})
-        other.target_tokens = other.encoder.compute(other.comparison.target()[None])[0]
+        other.target_tokens = other.encoder.compute(other.comparison.at().views.target[None])[0]
         return other
 
     def adjusted(self, images: object) -> Any:
@@ -195,12 +196,12 @@ class Evaluator:
         Raises ImageError, LossError or UnknownNameError.
         """
         views = self.views.retargeted(target)
-        if loss is None and self.loss_name is None:
+        if loss is None and self.loss.spec is None:
             raise LossError(
                 f"the loss {self.loss.name!r} was given as an object, which may be for the old "
                 "target only; give the one for the new target: retarget(picture, loss=...)"
             )
-        return self._with(views, loss or self.loss_name)
+        return self._with(views, loss or self.loss.spec)
 
     def at_size(self, size: tuple[int, int] | None) -> Evaluator:
         """The same for renders of (h, w) pixels, of a named loss; None: of the target's size.
@@ -209,7 +210,7 @@ class Evaluator:
 
         Raises LossError for a user's own loss, which knows the target's size only.
         """
-        if self.loss_name is None:
+        if self.loss.spec is None:
             raise LossError(
                 f"renders smaller than the target need a named loss, not the object "
                 f"{self.loss.name!r}"
@@ -220,7 +221,7 @@ class Evaluator:
 
             small = reduced(views, size)
             views = seen_at(views, small)
-        other = self._with(views, self.loss_name)
+        other = self._with(views, self.loss.spec)
         other.full, other.size, other._small = self.full, size, small
         return other
 
@@ -233,20 +234,15 @@ class Evaluator:
         if self.comparison is not None:
             options = {**self.comparison.options, "camera": 0.0}  # of other pixels
             other.comparison = other._compared_by(**options)
-        shown = other.target if other.comparison is None else other.comparison.target()
+        shown = other.target if other.comparison is None else other.comparison.at().views.target
         other.target_tokens = other.encoder.compute(shown[None])[0]  # (T, C)
         return other
-
-    @property
-    def loss_name(self) -> str | None:
-        """Name by which the loss can be made again; None for a user's own."""
-        return self.loss.spec
 
     @property
     def versions(self) -> dict[str, str | None]:
         """Of encoder and loss: they change whenever features or losses of an image do."""
         encoder, loss = self.encoder.version, self.loss.version
-        return {"encoder": encoder, "loss": loss, "loss_name": self.loss_name}
+        return {"encoder": encoder, "loss": loss, "loss_name": self.loss.spec}
 
     def check_versions(self, saved: Mapping[str, object]) -> None:
         """Raise CheckpointError unless saved features and losses are of the present versions."""
@@ -283,10 +279,11 @@ class Evaluator:
 
     def colors(self, images: object, n: int, on_clip: OnClip) -> Float32:
         """The same without coverage; raises ImageError."""
-        plain = without_coverage(images, self.views.listed)
+        if isinstance(images, list | tuple):
+            images = without_coverage(images, self.views.listed)
         if self._small is None:
-            return self.views.as_batch(plain, n, on_clip)
-        return self._enlarged(self._small.as_batch(plain, n, on_clip))
+            return self.views.as_batch(images, n, on_clip)
+        return self._enlarged(self._small.as_batch(images, n, on_clip))
 
     def _enlarged(self, batch: Float32) -> Float32:
         from fide_plugins.views.sizes import enlarged
@@ -352,7 +349,7 @@ class Evaluator:
         if not blur:
             return self.target_tokens
         if blur not in self._blurred:
-            shown = self._compared.target(blur)
+            shown = self._compared.at(blur).views.target
             self._blurred[blur] = self.encoder.compute(shown[None])[0]
         return self._blurred[blur]
 
@@ -360,7 +357,3 @@ class Evaluator:
     def _compared(self) -> Comparison:
         """A comparison, also where renders are compared as they are."""
         return self._compared_by() if self.comparison is None else self.comparison
-
-    @cached_property
-    def _blurred(self) -> dict[float, torch.Tensor]:
-        return {}

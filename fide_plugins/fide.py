@@ -14,12 +14,19 @@ import numpy as np
 from torch import Tensor
 
 from fide_plugins import encoders
+from fide_plugins.comparison.kept import Kept
 from fide_plugins.comparison.scale_space import ScaleSpace
 from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.evaluation import Evaluation, Evaluator
 from fide_plugins.options import Options, make_options
-from fide_plugins.population import CandidateRole, Population
-from fide_plugins.population.candidate import Memory, TrainingSample, columns, in_order
+from fide_plugins.population import (
+    CandidateRole,
+    Memory,
+    Population,
+    TrainingSample,
+    columns,
+    in_order,
+)
 from fide_plugins.proposers import channel_subsets, make_proposer, make_steps
 from fide_plugins.proposers.image_gate import ImageGate
 from fide_plugins.runtime.machine import timed
@@ -46,11 +53,9 @@ from fide_plugins.validation.points import (
 )
 from fide_plugins.views import Views
 from fide_plugins.views.compared import loss_of
-from fide_plugins.views.pixel_noise import PixelNoise
-from fide_plugins.views.same_images import SameImages
+from fide_plugins.views.findings import PixelNoise, SameImages
 
 if TYPE_CHECKING:
-    from fide_plugins.comparison.kept import Kept
     from fide_plugins.learning.model import Model
     from fide_plugins.search.validity import Validity
     from fide_plugins.status import Status
@@ -171,7 +176,7 @@ class FIDE(Saved):
             **o.comparison,
         )
         self.same_images, self._lock = SameImages(self.popsize), Lock()
-        model, posterior = self._model_of(learned, self.views.targets)
+        model, posterior = (None, None) if learned is None else self._model_of(learned, self.views)
         self._model = model  # of the renderer, for the next picture, too; never saved
         self.state = self._initial_state(posterior)
 
@@ -196,7 +201,7 @@ class FIDE(Saved):
         )  # fmt: skip
         moves.start = setting.valid_start(moves.start, 1)
         side = min(min(view.size) for view in views.views)
-        may_blur = follows and o.coarse_to_fine is not False and self.loss_name is not None
+        may_blur = follows and o.coarse_to_fine is not False and bool(self.evaluator.loss.spec)
         scales = ScaleSpace(
             views,
             possible=may_blur and side >= _COARSEST and not (learned or moves.descends),
@@ -219,16 +224,8 @@ class FIDE(Saved):
             memory=Memory(o.memory_mb),
             pixel_noise=PixelNoise(views),
             scales=scales,
-            kept=self._nothing_kept(),
+            kept=None if self.evaluator.comparison is None else Kept(self.dim),
         )
-
-    def _nothing_kept(self) -> Kept | None:
-        """Room for the best renders; None where they are compared as they are."""
-        if self.evaluator.comparison is None:
-            return None
-        from fide_plugins.comparison.kept import Kept
-
-        return Kept(self.dim)
 
     # -- ask: lines 4 and 5 ------------------------------------------------------------------------
 
@@ -244,7 +241,7 @@ class FIDE(Saved):
         """
         population = self.state.population
         n = None if n is None else whole_number("n", n, 1)
-        with timed(self.times, "search"):
+        with timed(self.state.times, "search"):
             steps = np.empty((0, self.dim))
             if n is not None:
                 steps = self._make_steps(n)
@@ -260,7 +257,7 @@ class FIDE(Saved):
     @one_thread
     def ask_ready(self) -> Float64:
         """As `ask`, but between two generations one step alone: the next one knows its result."""
-        with timed(self.times, "search"):
+        with timed(self.state.times, "search"):
             if len(step := self._make_steps(1)):
                 self._hand_out_steps(step)
                 return step
@@ -271,7 +268,7 @@ class FIDE(Saved):
         population = self.state.population
         if not population.remaining:
             self.draw_generation()
-        if n > population.queued:
+        if n > len(population.queue):
             self._train_early()
         self._make_next(n)  # which may fail, before anything is handed out
         X = np.empty((n, self.dim))
@@ -335,10 +332,10 @@ class FIDE(Saved):
         again.  rng: of the proposer.
         """
         m, proposer = len(population.reserved), self.state.proposer
-        if proposer is None or not m or (n is not None and n <= population.queued):
+        if proposer is None or not m or (n is not None and n <= len(population.queue)):
             return
         if n is not None and proposer.lazy:
-            m = n - population.queued
+            m = n - len(population.queue)
         population.add_proposals(*self._propose(population.reserved[:m], self.state.search, rng))
 
     def _propose(
@@ -347,7 +344,7 @@ class FIDE(Saved):
         """Proposals x and their z, (m, d) each, from samples of N(m, Sigma)."""
         proposer, target = self.state.proposer, self._seen_target
         assert proposer is not None
-        with timed(self.times, "train"):
+        with timed(self.state.times, "train"):
             made = proposer.propose(search.stretched(z), target, search.mean, search.std, rng)
         x = search.place_proposals(made, z)
         return x, search.closest(x)
@@ -359,7 +356,7 @@ class FIDE(Saved):
         them proposals as before.
         """
         state, population = self.state, self.state.population
-        needed = max(0, population.size - population.evaluated - population.awaited)
+        needed = max(0, population.size - len(population.told) - population.awaited)
         m = min(n, population.remaining) - needed
         if m > 0 and (state.proposer is None or state.proposer.lazy):
             search = state.preview_search()
@@ -379,7 +376,7 @@ class FIDE(Saved):
         between = state.moves.stage is Stage.SEARCH and not state.population.remaining
         if steps is None or not between or not state.gate.strength > 0:
             return none
-        with timed(self.times, "train"):
+        with timed(self.state.times, "train"):
             target = self._seen_target
             left = steps.left(search.popsize, target, search.std)
             if not left:
@@ -450,7 +447,7 @@ class FIDE(Saved):
         n, evaluator, given = len(points), self.evaluator, losses is not None
         clipping = self.state.clipping.copy()
         batch = evaluator.as_batch(n, images, losses, features, clipping)
-        with timed(self.times, "encode"):  # lines 7 and 9
+        with timed(self.state.times, "encode"):  # lines 7 and 9
             encode = self.state.proposer is not None and (given or not self.state.scales.blur)
             results = evaluator.evaluate(n, batch, losses, features, version=version, encode=encode)
         self.state.clipping = clipping
@@ -474,7 +471,7 @@ class FIDE(Saved):
         """Enter results of points (n, dim), and finish generations, as `decision` says."""
         self.same_images.note(points, results.images, results.losses)
         state, entered, failure = self.state, 0, None
-        with timed(self.times, "search"):
+        with timed(self.state.times, "search"):
             while entered < len(points):
                 blur = state.scales.blur
                 encode = state.proposer is not None
@@ -501,7 +498,7 @@ class FIDE(Saved):
             state.finish_stage(members, losses, samples, self._seen_target)
             return
         try:
-            with timed(self.times, "train"):
+            with timed(self.state.times, "train"):
                 self._train(samples)  # line 8
         finally:  # a generation that taught nothing is not lost
             state.update_search(members, losses)  # line 10
@@ -512,7 +509,7 @@ class FIDE(Saved):
         state, (over, guided) = self.state, decision
         if guided is None:
             guided = state.gate.guided
-        if state.begin_coarse(self.views.target):
+        if state.begin_coarse(self.evaluator.target):
             return
         if over is None:
             over = self.options.restarts != "none" and state.is_over(guided=guided)
@@ -541,7 +538,7 @@ class FIDE(Saved):
         if len(state.population.reserved) and state.samples:
             samples = state.take_samples()
             state.learned += samples
-            with timed(self.times, "train"):
+            with timed(self.state.times, "train"):
                 proposer.update(*columns(samples), state.search.std)
 
     def recommend(self) -> Float64:
@@ -614,7 +611,7 @@ class FIDE(Saved):
     def status(self) -> Status:
         """What is known of the run so far: a code, and a sentence (see `fide_plugins.status`)."""
         from fide_plugins.status import status_now
-        from fide_plugins.views.solved import is_solved
+        from fide_plugins.views.findings import is_solved
 
         image = None if self.state.best is None else self.state.best.solution.image
         return status_now(self, solved=image is not None and is_solved(self.views, image))
@@ -712,10 +709,8 @@ class FIDE(Saved):
 
     # -- where searches begin, and the next picture ------------------------------------------------
 
-    def _model_of(self, learned: Any, target: Any) -> tuple[Model | None, Posterior | None]:
-        """A learned model, or that of a file, and what it says of a target."""
-        if learned is None:
-            return None, None
+    def _model_of(self, learned: Any, views: Views) -> tuple[Model | None, Posterior | None]:
+        """A learned model, or that of a file, and what it says of the targets of views."""
         from fide_plugins.learning.hypotheses import as_model, posterior_of
 
         model = as_model(learned)
@@ -724,7 +719,7 @@ class FIDE(Saved):
                 f"photo=True is for photographs, and the model of {model.renderer!r} has learned "
                 "renders without clutter: learn one with backgrounds or clutter=True"
             )
-        return model, posterior_of(model, self.space or self.dim, target, self.seed)
+        return model, posterior_of(model, self.space or self.dim, views.targets, self.seed)
 
     def random_point(self, number: int) -> Float64:
         """Random point (dim,) that may be rendered; the same for the same number, from 0."""
@@ -780,15 +775,17 @@ class FIDE(Saved):
         """
         evaluator = self.evaluator.retargeted(picture, loss)
         learned = self._model if learned is None else learned
-        model, posterior = self._model_of(learned, evaluator.views.targets)
+        views = evaluator.views
+        model, posterior = (None, None) if learned is None else self._model_of(learned, views)
         state = self.state
-        with timed(self.times, "search"):
+        with timed(self.state.times, "search"):
             recalled = state.recall(evaluator.target_tokens, self.guess, self.popsize)
             known = bool(recalled.samples)
             if posterior is not None and known and state.moves.is_wider(posterior, recalled.start):
                 posterior = None  # the memory says more exactly where the answer is
             self.evaluator, self._model = evaluator, model
-            state.kept = self._nothing_kept()  # the old were of another picture
+            if state.kept is not None:
+                state.kept = Kept(self.dim)  # the old were of another picture
             state.retarget(evaluator.target_tokens, recalled.start, posterior)
             if posterior is None:
                 state.teach(recalled.samples, recalled.start.std, self.popsize)
@@ -839,7 +836,7 @@ class FIDE(Saved):
     @property
     def loss_name(self) -> str | None:
         """Name by which the loss can be made again; None for a user's own."""
-        return self.evaluator.loss_name
+        return self.evaluator.loss.spec
 
     @one_at_a_time
     @one_thread

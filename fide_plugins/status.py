@@ -51,8 +51,8 @@ class Facts:
     others: lowest loss of the other places, if any; apart: how far these are from the best place,
         in the parameter that differs most, as a fraction of its range.
     noise: standard deviation of a pixel, if what is left is independent noise of pixels alone.
-    solved: whether the image equals the target but for what no eye sees (`views.solved`).
-    same: how many candidates have had the same image, if all have; else 0 (`views.same_images`).
+    solved: whether the image equals the target but for what no eye sees (`views.findings`).
+    same: how many candidates have had the same image, if all have; else 0 (`views.findings`).
     mismatch: what explains most of what is left, in words, where the renderer cannot draw it.
     clipped: images whose values went beyond black or white; low, high: the extremes of these.
     """

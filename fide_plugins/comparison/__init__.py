@@ -21,7 +21,6 @@ itself would cost with its pixels in another order: the background is of the tar
 `comparison`   all of this for the views of a scene
 `light`        the light that brings a render nearest to the target
 `auto`         whether light or a camera's blur tells the target from the renders
-`blur`         pictures behind a filter
 `coverage`     renders that say which pixels they draw
 `kept`         the best renders, which are compared again when the comparison changes
 `mismatch`     what explains a difference that no parameter removes

@@ -19,8 +19,8 @@ from itertools import permutations
 
 import numpy as np
 
-from fide_plugins.comparison.blur import blurred
 from fide_plugins.comparison.light import EXPOSURE, NONE, SHADING, robust_factor, robust_light
+from fide_plugins.comparison.scale_space import blurred
 from fide_plugins.types import Float32, Float64
 
 __all__ = ["MOST", "camera_blur", "changed_light", "has_other_colors", "light_between"]

@@ -16,7 +16,6 @@ from fide_plugins.comparison.auto import (
     has_other_colors,
     light_between,
 )
-from fide_plugins.comparison.blur import blurred
 from fide_plugins.comparison.light import (
     EXPOSURE,
     NONE,
@@ -25,7 +24,9 @@ from fide_plugins.comparison.light import (
     robust_factor,
     robust_light,
 )
+from fide_plugins.comparison.scale_space import blurred
 from fide_plugins.losses.base import ImageLoss
+from fide_plugins.runtime.opencv import cv2
 from fide_plugins.runtime.schema import check, real, text
 from fide_plugins.types import Float32, Float64
 from fide_plugins.views.views import View, Views
@@ -98,15 +99,11 @@ class Comparison:
         return {"light": self.light, "blur": self.blur, "camera": self.camera}
 
     def at(self, blur: float | None = None) -> _Level:
-        """The target at a blur, with its loss."""
+        """The target at a blur, None: at the present one, with its loss."""
         blur = self.blur if blur is None else blur
         if blur not in self._levels:
             self._levels[blur] = _Level(self, blur)
         return self._levels[blur]
-
-    def target(self, blur: float | None = None) -> Float32:
-        """Target (H, W, 3), blurred, packed if there are several views."""
-        return self.at(blur).views.target
 
     def compare(self, images: Float32, blur: float | None = None) -> Compared:
         """Adjusted images of renders, with their losses.
@@ -227,26 +224,22 @@ class _Level:
 
 
 class _OneView:
-    """Target of one view at a blur."""
+    """Target of one view at a blur.
+
+    scale: of robust differences; None: they count as they are.
+    """
 
     def __init__(self, comparison: Comparison, view: View, blur: float) -> None:
         self._comparison, self._view, self._blur = comparison, view, blur
         self.target = blurred(view.target, blur)
         self.shown = self.target
-        self.small = _small(view.target)
         self.small_weights = None if view.weights is None else _small(view.weights)
+        self.scale = comparison.scale if not isinstance(comparison.scale, str) else _scale(view)
 
     @cached_property
-    def scale(self) -> float | None:
-        """Of robust differences; None: they count as they are."""
-        scale = self._comparison.scale
-        if not isinstance(scale, str):
-            return scale
-        seen = self._view.target
-        if self._view.hidden is not None:
-            seen = seen[~self._view.hidden]
-        deviation = float(np.sqrt(seen.reshape(-1, 3).var(axis=0, dtype=np.float64).mean()))
-        return max(_SCALE * deviation, _LEAST_SCALE)
+    def small(self) -> Float32:
+        """Sharp target at which the light is found."""
+        return _small(self._view.target)
 
     def adjusted(
         self, image: Float32, coverage: Float32 | None
@@ -306,10 +299,15 @@ class _OneView:
         return self.shown + apart
 
 
+def _scale(view: View) -> float:
+    """Scale of robust differences, by the contrast of a target."""
+    seen = view.target if view.hidden is None else view.target[~view.hidden]
+    deviation = float(np.sqrt(seen.reshape(-1, 3).var(axis=0, dtype=np.float64).mean()))
+    return max(_SCALE * deviation, _LEAST_SCALE)
+
+
 def _times(image: Float32, factor: Float32) -> Float32:
     """An image (H, W, 3) times a factor (H, W)."""
-    from fide_plugins.runtime.opencv import cv2
-
     return np.asarray(cv2.multiply(image, cv2.merge([factor, factor, factor])), np.float32)
 
 
@@ -336,8 +334,6 @@ def _weighted(image: Float32, weights: Float32, small: Float32) -> Float32:
 
 def _small(image: Float32) -> Float32:
     """An image (H, W, C) or (H, W), averaged to at most 28 x 28 pixels."""
-    from fide_plugins.runtime.opencv import cv2
-
     height, width = image.shape[:2]
     size = min(width, _SMALL), min(height, _SMALL)
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32)

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from fide_plugins.runtime.opencv import cv2
 from fide_plugins.types import Float32, Float64
 
 __all__ = [
@@ -55,8 +56,6 @@ class Light:
 
     def applied(self, image: Float32) -> Float32:
         """An image (H, W, 3) in this light; its values may leave [0, 1]."""
-        from fide_plugins.runtime.opencv import cv2
-
         squares = cv2.transform(cv2.multiply(image, image), np.diag(self.curve))
         if len(self.gain) == 1:
             affine = np.column_stack([np.diag(self.gain[0, 0]), self.offset])
@@ -128,8 +127,6 @@ def robust_light(
 
 def robust_factor(apart: Float32, scale: float) -> Float32:
     """C / sqrt(c^2 + d^2), (H, W), of differences (H, W, 3); d^2: their mean square."""
-    from fide_plugins.runtime.opencv import cv2
-
     mean = np.full((1, 3), 1 / (3 * scale * scale))
     squares = np.asarray(cv2.transform(cv2.multiply(apart, apart), mean), np.float32)
     return np.asarray(1 / np.sqrt(1 + squares), np.float32)

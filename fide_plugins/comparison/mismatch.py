@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fide_plugins.comparison.blur import blurred
 from fide_plugins.comparison.light import SHADING, fit_light
+from fide_plugins.comparison.scale_space import blurred
 from fide_plugins.types import Float32, Float64
 
 __all__ = ["explanation"]

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fide_plugins.comparison.blur import blurred
+from fide_plugins.runtime.opencv import cv2
 from fide_plugins.runtime.schema import anything, array, check, each, flag, maybe, real, whole
 from fide_plugins.types import Float32, Float64
 from fide_plugins.views import Views
@@ -35,14 +35,15 @@ if TYPE_CHECKING:
     from fide_plugins.comparison.kept import Kept
     from fide_plugins.search.moves import Start
 
-__all__ = ["ScaleSpace", "predictability"]
+__all__ = ["ScaleSpace", "blurred", "predictability"]
 
 BLURS = (0.05, 0.025, 0.0125)
 """Standard deviations of one search after another, in sides of the image; then sharp."""
 _PHOTO_BLURS = (0.08, *BLURS)  # where renders have a coverage that leaves contrast at BLURS[0]
 WIDTHS = (0.6, 0.6, 0.5, 0.4)
 """Widest beginning of the searches that follow the first, of its beginning; the last is sharp."""
-_REACH = 1 / 3  # of the blur in sides of the image, which the cube spans
+REACH = 1 / 3
+"""Standard deviation of a search that sees no more at a blur: of that, in sides of the image."""
 NEXT = 2.0  # times the spread of a search that is over: of the next one
 PATIENCE, IMPROVEMENT = 2, 1.0
 """Of coarse searches, in units of the run's: their losses are small, and fall slowly."""
@@ -94,11 +95,6 @@ class ScaleSpace:
         if self.asked:
             return replace(start, patience=PATIENCE_ASKED, improvement=IMPROVEMENT_ASKED)
         return replace(start, patience=PATIENCE, improvement=IMPROVEMENT)
-
-    @property
-    def reach(self) -> float:
-        """Standard deviation, in the cube, of a search that sees no more at the present blur."""
-        return _REACH * self.left[0] if self.left else 0.0
 
     # -- the first candidates ----------------------------------------------------------------------
 
@@ -152,8 +148,14 @@ class ScaleSpace:
         return self.useful
 
     def _small(self, image: Float32) -> list[Float32]:
-        """Pictures of the views (h, w, 3), reduced, of a packed image."""
-        return [_reduced(part[0]) for part in self._views.split(image[None])]
+        """Pictures of the views, averaged to at most 96 pixels along a side, of a packed image."""
+        small = []
+        for part in self._views.split(image[None]):
+            height, width = part.shape[1:3]
+            factor = max(1.0, min(height, width) / _SIDE)
+            size = max(1, round(width / factor)), max(1, round(height / factor))
+            small.append(np.asarray(cv2.resize(part[0], size, interpolation=cv2.INTER_AREA)))
+        return small
 
     # -- searches ----------------------------------------------------------------------------------
 
@@ -208,14 +210,21 @@ _SCHEMA: dict[str, Any] = {
 }
 
 
-def _reduced(image: Float32) -> Float32:
-    """An image (H, W, 3), averaged to at most 96 pixels along its shorter side."""
-    from fide_plugins.runtime.opencv import cv2
+def blurred(image: Float32, blur: float) -> Float32:
+    """An image (H, W, C) behind a Gaussian filter, with its own pixels beyond the border.
 
+    blur: standard deviation in pixels; a large one filters a smaller image.
+    """
+    if not blur:
+        return image
     height, width = image.shape[:2]
-    factor = max(1.0, min(height, width) / _SIDE)
+    factor = max(1, int(blur / 2))
     size = max(1, round(width / factor)), max(1, round(height / factor))
-    return np.ascontiguousarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
+    small: Any = cv2.resize(image, size, interpolation=cv2.INTER_AREA) if factor > 1 else image
+    small = cv2.GaussianBlur(small, (0, 0), blur / factor, borderType=cv2.BORDER_REPLICATE)
+    if factor > 1:
+        small = cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(small, np.float32).reshape(image.shape)
 
 
 def contrast(views: Views, kept: Kept, blur: float) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 from fide_plugins.errors import OptionError
 from fide_plugins.validation.options import seconds_of
 from fide_plugins.validation.points import as_real, whole_number
-from fide_plugins.views.solved import is_solved
+from fide_plugins.views.findings import is_solved
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fide_plugins.population.candidate import TrainingSample, columns, in_order
+from fide_plugins.population import TrainingSample, columns, in_order
 from fide_plugins.proposers.feature_buffer import FeatureBuffer, for_jacobian
 from fide_plugins.runtime.schema import (
     Schema,

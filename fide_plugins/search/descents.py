@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 from torch import Tensor
 
-from fide_plugins.population.candidate import TrainingSample
+from fide_plugins.population import TrainingSample
 from fide_plugins.runtime.schema import Schema, Sides, Stateful, array, whole
 from fide_plugins.search.mixed import Axes, shorter
 from fide_plugins.types import Float32, Float64

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from torch import Tensor, device
 
-from fide_plugins.population.candidate import TrainingSample
+from fide_plugins.population import TrainingSample
 from fide_plugins.runtime.schema import (
     GENERATOR,
     Schema,

@@ -15,7 +15,7 @@ import numpy as np
 from torch import Tensor, device
 
 from fide_plugins.errors import OptionError
-from fide_plugins.population.candidate import TrainingSample
+from fide_plugins.population import TrainingSample
 from fide_plugins.runtime.schema import (
     Schema,
     Sides,

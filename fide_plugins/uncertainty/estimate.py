@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 from torch import Tensor
 
-from fide_plugins.population.candidate import TrainingSample
+from fide_plugins.population import TrainingSample
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.search.mixed import Axes
 from fide_plugins.types import OPEN, Estimated, Float64, Indices, Mask

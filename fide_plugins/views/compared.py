@@ -9,7 +9,7 @@ import torch
 
 from fide_plugins import losses
 from fide_plugins.encoders.base import PatchEncoder
-from fide_plugins.encoders.own import check_encoder
+from fide_plugins.encoders.own import OwnEncoder, check_encoder
 from fide_plugins.errors import LossError, OptionError
 from fide_plugins.losses.base import (
     CallableLoss,
@@ -41,7 +41,9 @@ def loss_of(
         return loss
     if views.plain:
         made = losses.resolve(loss, views.target, device=device)
-        return made if made is loss or loss is loss_not_stored else _tried(made, views.target)
+        if isinstance(made, CallableLoss) and made is not loss and loss is not loss_not_stored:
+            check_loss(made, views.target)
+        return made
     if loss is None or isinstance(loss, str):
         name = loss or "mse"
         return LossOfViews(views, [_of_view(name, view, device) for view in views.views], name)
@@ -58,20 +60,19 @@ def loss_of(
     if not callable(loss):
         return losses.resolve(loss, views.target)  # raises
     several = CallableOfViews(views, loss)
-    return several if loss is loss_not_stored else _tried(several, views.target)
-
-
-def _tried(loss: ImageLoss, target: Float32) -> ImageLoss:
-    if isinstance(loss, CallableLoss | CallableOfViews):
-        check_loss(loss, target)
-    return loss
+    if loss is not loss_not_stored:
+        check_loss(several, views.target)
+    return several
 
 
 def _of_view(name: str, view: View, device: str | torch.device | None) -> ImageLoss:
     """Loss of one view: with its weights, if it takes them."""
     if view.weights is not None and losses.takes_weights(name):
         return losses.make(name, view.filled, weights=view.weights)
-    return _tried(losses.resolve(name, view.filled, device=device), view.filled)
+    made = losses.resolve(name, view.filled, device=device)
+    if isinstance(made, CallableLoss):
+        check_loss(made, view.filled)
+    return made
 
 
 class LossOfViews:
@@ -133,7 +134,8 @@ def encoder_of(views: Views, encoder: PatchEncoder) -> PatchEncoder:
     """
     base = encoder.base if isinstance(encoder, EncoderOfViews) else encoder
     for view in views.views:
-        check_encoder(base, view.target)
+        if isinstance(base, OwnEncoder):
+            check_encoder(base, view.target)
     return base if views.plain else EncoderOfViews(views, base)
 
 

@@ -127,9 +127,9 @@ def joined(a: Float32 | None, b: Float32 | None, what: str) -> Float32 | None:
 # -- one view --------------------------------------------------------------------------------------
 
 
-def _hidden_by(weights: Float32 | None) -> Mask | None:
+def _hidden_by(weights: Float32) -> Mask | None:
     """Pixels (H, W) of weight 0; None if there are none."""
-    return None if weights is None or weights.all() else weights == 0
+    return None if weights.all() else weights == 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +156,7 @@ class View:
     @cached_property
     def hidden(self) -> Mask | None:
         """(H, W), pixels of weight 0, where a render may have any values; None: all count."""
-        return _hidden_by(self.weights)
+        return None if self.weights is None else _hidden_by(self.weights)
 
     @cached_property
     def _roots(self) -> Float32:
@@ -228,6 +228,7 @@ class Views:
 
     views: at least one.
     listed: whether the target was a list, so that renders are, too.
+    plain: whether there is one view without weights, given as such.
     values: those of a user's images that are 0 and 1 here; None: 0 and 1.
     """
 
@@ -235,6 +236,7 @@ class Views:
         self, views: Sequence[View], *, listed: bool, values: ValueRange | None = None
     ) -> None:
         self.views, self.listed, self.values = tuple(views), listed, values
+        self.plain = not listed and views[0].weights is None
         for view in views:
             view.target.flags.writeable = False
 
@@ -268,10 +270,13 @@ class Views:
         for i, (pixels, *pair) in enumerate(zip(pictures, *many.values(), strict=True)):
             of = f" of view {i}" if listed else ""
             size = pixels.shape[0], pixels.shape[1]
-            named = zip(many, pair, strict=True)
-            both = [read_weights(one, pixels, size, f"{name}{of}") for name, one in named]
-            given.append(joined(*both, f"mask times weights{of}"))
-        hidden = [_hidden_by(one) for one in given]
+            made: Float32 | None = None
+            if any(one is not None for one in pair):
+                named = zip(many, pair, strict=True)
+                both = [read_weights(one, pixels, size, f"{name}{of}") for name, one in named]
+                made = joined(*both, f"mask times weights{of}")
+            given.append(made)
+        hidden = [None if one is None else _hidden_by(one) for one in given]
         if values == AUTO:
             values = range_of(zip(pictures, hidden, strict=True))
         assert not isinstance(values, str)
@@ -311,11 +316,6 @@ class Views:
     def value_range(self) -> tuple[float, float] | None:
         """Values of a user's images that are 0 and 1 here; None: 0 and 1."""
         return None if self.values is None else (self.values.low, self.values.high)
-
-    @property
-    def plain(self) -> bool:
-        """Whether there is one view without weights, given as such."""
-        return not self.listed and self.views[0].weights is None
 
     @cached_property
     def target(self) -> Float32:

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from fide_plugins import encoders
 from fide_plugins.options import make_options
-from fide_plugins.population.candidate import TrainingSample
+from fide_plugins.population import TrainingSample
 from fide_plugins.proposers import make_steps
 from fide_plugins.proposers.forward import ForwardProposer, GaussNewtonSteps
 from fide_plugins.types import Float64

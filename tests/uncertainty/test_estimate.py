@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from fide_plugins import FIDE, Solution, fit
-from fide_plugins.population.candidate import TrainingSample
+from fide_plugins.population import TrainingSample
 from fide_plugins.search.mixed import Axes
 from fide_plugins.space import Choice, Float, Int, Space
 from fide_plugins.types import Float32, Float64

@@ -131,7 +131,7 @@ class ImageEvaluator:
 
         A user's own loss has no name, so all of them are taken for the same one.
         """
-        views, name = self.evaluator.views, self.evaluator.loss_name
+        views, name = self.evaluator.views, self.evaluator.loss.spec
         text = json.dumps([name, views.listed, [view.target.shape for view in views.views]])
         digest = hashlib.blake2b(text.encode(), digest_size=3)
         for view in views.views:

@@ -16,8 +16,7 @@ from torch import Tensor
 
 from fide_plugins.evaluation import Evaluation
 from fide_plugins.fide import FIDE
-from fide_plugins.population import Candidate, CandidateRole, Population
-from fide_plugins.population.candidate import columns
+from fide_plugins.population import Candidate, CandidateRole, Population, columns
 from fide_plugins.runtime.machine import timed
 from fide_plugins.saving import as_arrays
 from fide_plugins.search.moves import Stage
@@ -101,7 +100,7 @@ class Replica:
         out: entries that are still to be told; with these and those told the generation may be
             complete, and then what is asked now is for the next one (`State.preview_search`).
         """
-        if slot >= self.size <= self._population.evaluated + out:
+        if slot >= self.size <= len(self._population.told) + out:
             key = (self.generation, slot, 1)  # never that of `candidate`
             seed = np.random.SeedSequence(self.optimizer.seed, spawn_key=key)
             preview = self._preview(np.random.default_rng(seed))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fide_plugins.population.candidate import TrainingSample
+from fide_plugins.population import TrainingSample
 from fide_plugins.search.moves import Stage
 from fide_plugins.search.policy import MovePolicy
 from fide_plugins.search.scene import Optima

@@ -6,17 +6,196 @@ order and pieces, and the result does not depend on that.
 
 from __future__ import annotations
 
+import sys
 from collections import deque
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import IntEnum
 from itertools import pairwise
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
+from torch import Tensor, as_tensor, device, stack
 
-from fide_plugins.population.candidate import Candidate, CandidateRole, form_of, pack, unpack
-from fide_plugins.runtime.schema import Schema, array, check, row, whole
-from fide_plugins.types import Float64, Mask
+from fide_plugins.runtime.schema import (
+    Schema,
+    Sides,
+    array,
+    check,
+    form,
+    maybe,
+    real,
+    row,
+    saved,
+    values,
+    whole,
+)
+from fide_plugins.types import Float64, Mask, Solution
+
+__all__ = [
+    "Best",
+    "Candidate",
+    "CandidateRole",
+    "Memory",
+    "Population",
+    "TrainingSample",
+    "columns",
+    "in_order",
+    "mirrored_pair",
+    "search_columns",
+]
+
+
+class CandidateRole(IntEnum):
+    """What a candidate counts for.
+
+    MEMBER: for the generation in which it is told; if it is withdrawn, a spare one does.
+    SPARE: for members that do not come back; it is asked beyond a generation that needs exactly its
+        own candidates, such as a test.
+    STEP: for none, and none waits for it (`proposers.forward`).
+
+    A point that is told and was not pending is no candidate: it is *injected*.
+    """
+
+    MEMBER = 0
+    SPARE = 1
+    STEP = 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """A point of the cube on its way to the user and back.
+
+    index: its number among all candidates ever drawn.
+    x: (d,), what is rendered.
+    z: (d,), what the search distribution learns from; into(z) = x.
+    role: what it counts for.
+    proposed: whether a proposer made it, and not a search distribution.
+    off_distribution: whether it is of another distribution than the generation in which it counts:
+        of an earlier one, drawn ahead for the next one, or changed by somebody.
+    mirrored: whether it is one of the pair that measures the step size, see `search.cma_es`.
+    """
+
+    index: int
+    x: Float64
+    z: Float64
+    role: CandidateRole = CandidateRole.MEMBER
+    proposed: bool = False
+    off_distribution: bool = False
+    mirrored: bool = False
+
+
+_COLUMNS = {
+    "index": np.int64, "x": np.float64, "z": np.float64, "role": np.int64,
+    "proposed": np.bool_, "off_distribution": np.bool_, "mirrored": np.bool_,
+}  # fmt: skip
+
+
+def pack(candidates: Iterable[Candidate]) -> dict[str, Any]:
+    """Arrays of all fields, each (n, ...)."""
+    every = list(candidates)
+    return {name: np.array([getattr(c, name) for c in every], t) for name, t in _COLUMNS.items()}
+
+
+def unpack(packed: Mapping[str, Any]) -> list[Candidate]:
+    """Candidates that `pack` was given."""
+    return [
+        Candidate(int(index), x.copy(), z.copy(), CandidateRole(role), *map(bool, flags))
+        for index, x, z, role, *flags in zip(*(packed[name] for name in _COLUMNS), strict=True)
+    ]
+
+
+def form_of(n: str) -> Schema:
+    """Return the form of what `pack` gives for n candidates."""
+    return {
+        "index": array(n, kind="i"),
+        "x": array(n, "d", low=0.0, high=1.0),
+        "z": array(n, "d", low=-1e60, high=1e60),
+        "role": array(n, kind="i", low=min(CandidateRole), high=max(CandidateRole)),
+        **{name: array(n, kind="b") for name, kind in _COLUMNS.items() if kind is np.bool_},
+    }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrainingSample:
+    """An evaluation whose image is known: what proposers and moves learn from.
+
+    index: order of asking.
+    x: (d,), parameters.
+    tokens: (T, C), features of the image.
+    loss: finite.
+    evaluation: number of the evaluation, from 0, in the order of telling.
+    """
+
+    index: int = saved(whole())
+    x: Float64 = saved(array("d", low=0.0, high=1.0))
+    tokens: Tensor = saved(array("T", "C"))
+    loss: float = saved(real())
+    evaluation: int = saved(whole())
+
+    def state_dict(self) -> dict[str, Any]:
+        """All of it; tokens are those in use, not a copy."""
+        return values(self)
+
+    @classmethod
+    def from_state(cls, state: Mapping[str, Any], device: device | None = None) -> TrainingSample:
+        """Undo `state_dict`; arrays serve as tensors, which go to the device."""
+        return cls(**{**state, "tokens": as_tensor(state["tokens"], device=device)})
+
+
+def columns(samples: Sequence[TrainingSample]) -> tuple[Float64, Tensor, Float64]:
+    """Of samples, at least one: x (n, d), tokens (n, T, C), losses (n,)."""
+    x = np.array([sample.x for sample in samples])
+    losses = np.array([sample.loss for sample in samples])
+    return x, stack([sample.tokens for sample in samples]), losses
+
+
+def in_order(samples: Iterable[TrainingSample]) -> list[TrainingSample]:
+    """Samples in the order in which they were asked, whatever that in which they were told."""
+    return sorted(samples, key=attrgetter("index"))
+
+
+@dataclass(frozen=True, slots=True)
+class Best:
+    """The best point told so far.
+
+    solution: the point.
+    index: number of its candidate.
+    mean: (d,), mean of the search that asked it; the point itself if none did.
+    search_number: of the search that asked it; 0 for none.
+    """
+
+    solution: Solution
+    index: int = saved(whole())
+    mean: Float64 = saved(array("d", low=-1e60, high=1e60))
+    search_number: int = saved(whole())
+
+    def state_dict(self) -> dict[str, Any]:
+        """All of it but what is computed when it is read; arrays are those in use, not copies."""
+        return values(self) | {name: getattr(self.solution, name) for name in _SOLUTION}
+
+    @classmethod
+    def from_state(cls, state: Mapping[str, Any]) -> Best:
+        """Undo `state_dict`."""
+        solution = Solution(**{name: state[name] for name in _SOLUTION})
+        return cls(solution, **{name: state[name] for name in form(cls)})
+
+    @classmethod
+    def schema(cls) -> Schema:
+        """Return the form of what `state_dict` gives."""
+        return form(cls) | _SOLUTION
+
+
+_SOLUTION: dict[str, Schema] = {
+    "x": array("d", low=0.0, high=1.0),
+    "loss": real(),
+    "evaluation": whole(),
+    "image": maybe(array("H", "W", 3, low=0.0, high=1.0)),
+}
+
+
+# -- the record -----------------------------------------------------------------------------------
 
 _LOST = 2  # generations' worth of spare candidates told, after which members count as lost
 _LATE = 3  # times as late as the latest result of late, from which on no result is expected
@@ -51,39 +230,37 @@ class Population:
     size: members of the present generation.
     drawn: candidates ever drawn.
     generations: generations completed.
+    queue: candidates of this generation that can be handed out.
     reserved: (m, d), samples at the end of the queue from which proposals are to be made.
+    pending: candidates that were handed out and not yet told, by index.
+    told: members of the present generation with their losses.
     """
 
     def __init__(self) -> None:
         self.size = self.drawn = self.generations = 0
         self.reserved: Float64 = np.empty((0, 0))
         self._reserved_from = 0  # index of the first of these
-        self._queue: deque[Candidate] = deque()  # drawn, not handed out
-        self._pending: dict[int, Candidate] = {}  # handed out, not told, by index
+        self.queue: deque[Candidate] = deque()
+        self.pending: dict[int, Candidate] = {}
         self._by_point: dict[bytes, list[Candidate]] = {}  # the same, by their points
         self._newest = 0  # highest index handed out
         self._delays = (0, 0)  # by how much more than a generation a result was late: now, before
-        self._members: list[tuple[Candidate, float]] = []  # told in the present generation
-        self._spare: list[tuple[Candidate, float]] = []  # told, too, and not needed by it
+        self.told: list[tuple[Candidate, float]] = []
+        self._spare: list[tuple[Candidate, float]] = []  # told, not needed by the generation
         self._withdrawn = 0  # of its own candidates, in whose place spare ones count
         self._generation_from = 0  # candidates of a lower index belong to an earlier generation
 
     # -- asking ------------------------------------------------------------------------------------
 
     @property
-    def queued(self) -> int:
-        """Candidates of this generation that can be handed out."""
-        return len(self._queue)
-
-    @property
     def remaining(self) -> int:
         """Candidates of this generation that are not yet handed out, reserved ones too."""
-        return len(self._queue) + len(self.reserved)
+        return len(self.queue) + len(self.reserved)
 
     @property
     def has_begun(self) -> bool:
         """Whether something of the present generation is out, told or withdrawn."""
-        return self.pending + self.evaluated + self._withdrawn > 0
+        return bool(self.pending or self.told or self._withdrawn)
 
     def draw(
         self,
@@ -108,19 +285,19 @@ class Population:
         pair = pair and len(x) >= 2
         for i, (point, drawn) in enumerate(zip(x, z, strict=True)):
             mirrored = pair and i < 2
-            self._queue.append(Candidate(self.drawn + i, point, drawn, role, mirrored=mirrored))
+            self.queue.append(Candidate(self.drawn + i, point, drawn, role, mirrored=mirrored))
         self.reserved, self._reserved_from = reserved, self.drawn + len(x)
         self.drawn += n
 
     def add_proposals(self, x: Float64, z: Float64) -> None:
         """Queue proposals x (m, d) with their z (m, d), made from the first reserved samples."""
         for i, (point, near) in enumerate(zip(x, z, strict=True), self._reserved_from):
-            self._queue.append(Candidate(i, point, near, proposed=True))
+            self.queue.append(Candidate(i, point, near, proposed=True))
         self.reserved, self._reserved_from = self.reserved[len(x) :], self._reserved_from + len(x)
 
     def proposed(self, first: int, n: int) -> Mask:
         """Which of n candidates of those that remain are proposals, (n,), from the first on."""
-        flags = [candidate.proposed for candidate in self._queue] + [True] * len(self.reserved)
+        flags = [candidate.proposed for candidate in self.queue] + [True] * len(self.reserved)
         return np.array(flags[first : first + n], bool)
 
     def replace(self, first: int, x: Float64, z: Float64, proposed: Mask) -> None:
@@ -130,15 +307,15 @@ class Population:
         proposed: (m,), whether each is a proposal.
         """
         for i, (point, drawn, made) in enumerate(zip(x, z, proposed, strict=True), first):
-            if i == len(self._queue):  # the next one that is reserved
+            if i == len(self.queue):  # the next one that is reserved
                 self.add_proposals(point[None], drawn[None])
-            index = self._queue[i].index
+            index = self.queue[i].index
             other = Candidate(index, point, drawn, proposed=bool(made), off_distribution=True)
-            self._queue[i] = other
+            self.queue[i] = other
 
     def hand_out(self) -> Candidate:
         """Next candidate of the queue."""
-        candidate = self._queue.popleft()
+        candidate = self.queue.popleft()
         self._add_pending(candidate)
         return candidate
 
@@ -152,26 +329,17 @@ class Population:
         off_distribution: bool = False,
     ) -> None:
         """Take x (d,), which was drawn elsewhere, for a candidate that was handed out."""
-        self._add_pending(Candidate(self.new_index(), x, z, role, proposed, off_distribution))
-
-    def new_index(self) -> int:
-        """New index, of a candidate that was never drawn: no other has it."""
+        self._add_pending(Candidate(self.drawn, x, z, role, proposed, off_distribution))
         self.drawn += 1
-        return self.drawn - 1
 
     # -- pending -----------------------------------------------------------------------------------
-
-    @property
-    def pending(self) -> int:
-        """Candidates that were handed out and not yet told."""
-        return len(self._pending)
 
     @property
     def awaited(self) -> int:
         """How many of the pending, but for steps, are not much later than all others."""
         oldest = self._newest - _LATE * (self.size + max(self._delays))
         n = 0
-        for candidate in reversed(self._pending.values()):  # the last handed out come first
+        for candidate in reversed(self.pending.values()):  # the last handed out come first
             if candidate.index < oldest:
                 break
             n += candidate.role is not CandidateRole.STEP
@@ -182,7 +350,7 @@ class Population:
         return bool(self._by_point.get(_key(x)))
 
     def _add_pending(self, candidate: Candidate) -> None:
-        self._pending[candidate.index] = candidate
+        self.pending[candidate.index] = candidate
         self._by_point.setdefault(_key(candidate.x), []).append(candidate)
         self._newest = max(self._newest, candidate.index)
 
@@ -201,7 +369,7 @@ class Population:
             unlike = [(not np.array_equal(c.x, x), c.role is not spare) for c in waiting]
             which = unlike.index(min(unlike))
         candidate = waiting.pop(which)
-        del self._pending[candidate.index]
+        del self.pending[candidate.index]
         if not waiting:
             del self._by_point[key]
         return candidate
@@ -214,7 +382,7 @@ class Population:
 
     def forget_pending(self) -> None:
         """A restart: what is still pending counts as injected if it is told."""
-        self._pending.clear()
+        self.pending.clear()
         self._by_point.clear()
 
     # -- telling -----------------------------------------------------------------------------------
@@ -229,20 +397,15 @@ class Population:
         if candidate.index < self._generation_from:
             candidate = replace(candidate, off_distribution=True)
         if candidate.role is CandidateRole.MEMBER:
-            self._members.append((candidate, loss))
+            self.told.append((candidate, loss))
         elif candidate.role is CandidateRole.SPARE:
             self._spare.append((candidate, loss))
         return candidate
 
     @property
-    def evaluated(self) -> int:
-        """Members of the present generation that were told."""
-        return len(self._members)
-
-    @property
     def missing(self) -> int:
         """Results that the present generation lacks, whether they are out, withdrawn or lost."""
-        return self.size - len(self._members) - min(self._withdrawn, len(self._spare))
+        return self.size - len(self.told) - min(self._withdrawn, len(self._spare))
 
     @property
     def complete(self) -> bool:
@@ -257,15 +420,15 @@ class Population:
 
         Spare ones if no other ever came back.
         """
-        ordered = sorted(self._members or self._spare, key=lambda pair: pair[0].index)
+        ordered = sorted(self.told or self._spare, key=lambda pair: pair[0].index)
         losses = np.array([loss for _, loss in ordered], np.float64)
         return [candidate for candidate, _ in ordered], losses
 
     def close_generation(self) -> tuple[list[Candidate], Float64]:
         """Members and their losses (n,), see `members`; what was never handed out is dropped."""
         members, losses = self.members()
-        self._members, self._spare, self._withdrawn = [], [], 0
-        self._queue.clear()
+        self.told, self._spare, self._withdrawn = [], [], 0
+        self.queue.clear()
         self.reserved = np.empty((0, 0))
         self._delays = (0, self._delays[0])
         self._generation_from = self.drawn
@@ -276,12 +439,12 @@ class Population:
 
     def state_dict(self) -> dict[str, Any]:
         """Everything, as arrays."""
-        members, losses = zip(*self._members, strict=True) if self._members else ((), ())
+        members, losses = zip(*self.told, strict=True) if self.told else ((), ())
         spare, spare_losses = zip(*self._spare, strict=True) if self._spare else ((), ())
         found = {
             "delays": list(self._delays),
-            "queue": pack(self._queue),
-            "pending": pack(sorted(self._pending.values(), key=lambda c: c.index)),
+            "queue": pack(self.queue),
+            "pending": pack(sorted(self.pending.values(), key=lambda c: c.index)),
             "members": pack(members),
             "losses": np.array(losses, np.float64),
             "spare": pack(spare),
@@ -298,11 +461,11 @@ class Population:
         for name, value in state.items():
             if isinstance(value, int) or name == "reserved":
                 setattr(made, _attribute(name), value)
-        made._queue.extend(unpack(state["queue"]))
+        made.queue.extend(unpack(state["queue"]))
         for candidate in unpack(state["pending"]):
             made._add_pending(candidate)
         made._delays = (*state["delays"],)
-        made._members = _with_losses(state["members"], state["losses"])
+        made.told = _with_losses(state["members"], state["losses"])
         made._spare = _with_losses(state["spare"], state["spare_losses"])
         return made
 
@@ -336,3 +499,100 @@ def mirrored_pair(members: list[Candidate]) -> tuple[int, int] | None:
 def _key(x: Float64) -> bytes:
     """Name of a point, the same after a way through a renderer in single precision."""
     return (x.astype(np.float32) + _ZERO).tobytes()  # 0 and -0 are one number
+
+
+# -- what is remembered for later pictures, and for `Solution.std` ---------------------------------
+
+_MEGABYTE = 2**20
+_LEAST = 4096  # bytes of a sample; its objects take about as much, however few numbers they hold
+_PACKED: Schema = {
+    "index": array("n", kind="i", low=0),
+    "x": array("n", "d", low=0.0, high=1.0),
+    "tokens": array("n", "T", "C"),
+    "losses": array("n"),
+    "evaluation": array("n", kind="i", low=0),
+}
+_MEMORY: Schema = {
+    "earlier": maybe(_PACKED),
+    "latest": maybe(_PACKED),
+    "left": whole(),
+    "stride": whole(1),
+}
+
+
+class Memory:
+    """Samples of a run, at most `megabytes` of tokens and parameters; 0: none.
+
+    Half of the room is for the latest samples.  The other half is for every s-th of those that have
+    left the first, where s doubles whenever the room is full: they are spread evenly over the run.
+    """
+
+    def __init__(self, megabytes: float) -> None:
+        self._bytes = megabytes * _MEGABYTE
+        self._latest: deque[TrainingSample] = deque()
+        self._earlier: list[TrainingSample] = []
+        self._left = 0  # samples that have left the first half
+        self._stride = 1  # s
+
+    @property
+    def samples(self) -> list[TrainingSample]:
+        """All of them, the earliest first."""
+        return [*self._earlier, *self._latest]
+
+    def add(self, sample: TrainingSample) -> None:
+        """Remember a sample; others may be forgotten for it."""
+        each = max(_LEAST, sample.tokens.nbytes + sample.x.nbytes)
+        room = int(min(self._bytes / each, sys.maxsize))  # there may be no limit
+        if room < 2:
+            return
+        self._latest.append(sample)
+        if len(self._latest) <= room // 2:
+            return
+        sample, self._left = self._latest.popleft(), self._left + 1
+        if self._left % self._stride == 0:
+            self._earlier.append(sample)
+        if len(self._earlier) > room - room // 2:
+            self._earlier = self._earlier[1::2]
+            self._stride *= 2
+
+    def set_losses(self, losses: Sequence[float]) -> None:
+        """Give all samples, in the order of `samples`, the losses (n,) of another target."""
+        every = [replace(one, loss=x) for one, x in zip(self.samples, losses, strict=True)]
+        self._earlier = every[: len(self._earlier)]
+        self._latest = deque(every[len(self._earlier) :])
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything, as arrays."""
+        earlier, latest = _pack(self._earlier), _pack(list(self._latest))
+        return {"earlier": earlier, "latest": latest, "left": self._left, "stride": self._stride}
+
+    def load_state_dict(self, state: Mapping[str, Any], sides: Sides, device: device) -> None:
+        """Put back what `state_dict` gave, tokens on the device; ValueError if it is none.
+
+        sides: d, T and C, by these names.
+        """
+        for half in ("earlier", "latest"):  # of different lengths n
+            check({**state, "earlier": None, "latest": state[half]}, _MEMORY, dict(sides), "memory")
+        self._earlier = _unpack(state["earlier"], device)
+        self._latest = deque(_unpack(state["latest"], device))
+        self._left, self._stride = state["left"], state["stride"]
+
+
+def _pack(samples: list[TrainingSample]) -> dict[str, Any] | None:
+    if not samples:
+        return None
+    x, tokens, losses = columns(samples)
+    numbers = {
+        name: np.array([getattr(sample, name) for sample in samples], np.int64)
+        for name in ("index", "evaluation")
+    }
+    return {"x": x, "tokens": tokens, "losses": losses, **numbers}
+
+
+def _unpack(packed: Mapping[str, Any] | None, device: device) -> list[TrainingSample]:
+    if packed is None:
+        return []
+    tokens: list[Tensor] = [as_tensor(one, device=device).clone() for one in packed["tokens"]]
+    x = [one.copy() for one in packed["x"]]
+    index, losses, told = (packed[name].tolist() for name in ("index", "losses", "evaluation"))
+    return [TrainingSample(*one) for one in zip(index, x, tokens, losses, told, strict=True)]
