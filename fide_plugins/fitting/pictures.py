@@ -13,17 +13,6 @@ from fide_plugins.validation.pixels import Clipping
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
 
-__all__ = [
-    "as_compared",
-    "as_told",
-    "best_compared",
-    "canonical",
-    "counting",
-    "picture",
-    "shown",
-    "side_by_side",
-]
-
 
 def as_told(optimizer: FIDE, image: Any) -> Any:
     """What `FIDE.tell` takes for one candidate; image: as the user's function returned it.

@@ -9,16 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fide_plugins.fitting.rendering import Rendered
+from fide_plugins.fitting.rendering import Rendered, Workers
 from fide_plugins.fitting.schedule import SHARE, Schedule
-from fide_plugins.fitting.workers import Workers, gathered
+from fide_plugins.fitting.workers import gathered
 from fide_plugins.runtime.messages import duration
 from fide_plugins.views import View
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
-
-__all__ = ["Planner"]
 
 _ENOUGH = 4  # renders that say what one takes, where sizes are not compared
 _CHEAPER = 0.7  # of the time of the next size: a smaller one that takes more is left out

@@ -92,6 +92,34 @@ Task: TypeAlias = "Future[Outcome]"
 """A render that was begun, or will be as soon as a worker is free."""
 
 
+class Workers:
+    """Renders candidates, `number` at a time; the others of this base stop no render."""
+
+    number: int = 1
+
+    @property
+    def usable(self) -> int:
+        """How many can render: all but those that hang and cannot be killed."""
+        return self.number
+
+    def submit(self, x: Any) -> Task:
+        """Render the point x (d,), or whatever the renderer takes."""
+        raise NotImplementedError
+
+    def outcome(self, task: Task) -> Outcome:
+        """What a task that is done has given, or what went wrong."""
+        return task.result()
+
+    def began(self, task: Task) -> float | None:
+        """Time of `time.monotonic` when the render began; None if it waits for its worker."""
+
+    def abandon(self, task: Task) -> None:
+        """Stop a render that takes too long; where that is impossible, forget it."""
+
+    def close(self) -> None:
+        """Stop all renders, and give back what was taken for them."""
+
+
 def attempt(
     call: Callable[[], _T], describe: Callable[[BaseException], Failed] = Failed.by
 ) -> _T | Failed:

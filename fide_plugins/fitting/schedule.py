@@ -25,8 +25,6 @@ from fide_plugins.validation.pixels import Clipping
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
 
-__all__ = ["SHARE", "Schedule"]
-
 _RISE = 4  # times as many samples, or pixels
 _PAIRS, _FEWEST_PAIRS, _EVERY = 16, 8, 18  # renders of one candidate twice: kept, needed, one of
 _SOONER = 20  # parts of a budget: a pair for each of them, where that is more often

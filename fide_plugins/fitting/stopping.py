@@ -19,8 +19,7 @@ from fide_plugins.views.findings import is_solved
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
-
-__all__ = ["UNTIL", "Stopping"]
+    from fide_plugins.fitting.schedule import Schedule
 
 UNTIL = ("solved", "stalled", "budget")
 _LAST = 1000  # candidates
@@ -35,6 +34,7 @@ class Stopping:
     seconds: float | None = None
     stop_at: float | None = None
     until: str = "solved"
+    schedule: Schedule | None = None  # rules about an answer hold for its finest renders only
 
     @classmethod
     def of(
@@ -65,6 +65,16 @@ class Stopping:
 
         `until` is looked at after each improvement, and after each generation.
         """
+        found = self._reached(losses, seconds, best, improved, optimizer)
+        schedule = self.schedule
+        if schedule is None or found in (None, "budget", "time") or schedule.is_finest:
+            return found
+        schedule.step_up(larger=True)
+        return None
+
+    def _reached(
+        self, losses: Sequence[float], seconds: float, best: float, improved: bool, optimizer: FIDE
+    ) -> str | None:
         if self.budget is not None and len(losses) >= self.budget:
             return "budget"
         if self.seconds is not None and seconds >= self.seconds:

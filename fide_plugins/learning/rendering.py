@@ -13,8 +13,8 @@ import numpy as np
 
 from fide_plugins.errors import FideError, OptionError, RenderError
 from fide_plugins.fitting.processes import Processes
-from fide_plugins.fitting.rendering import Failed, Outcome, Rendered, Task
-from fide_plugins.fitting.workers import DAEMON, InThisProcess, Workers
+from fide_plugins.fitting.rendering import Failed, Outcome, Rendered, Task, Workers
+from fide_plugins.fitting.workers import DAEMON, InThisProcess
 from fide_plugins.learning.renders import SHARD, BatchRenderer, Pixels, RenderStore, Small
 from fide_plugins.types import Float64
 

@@ -390,7 +390,7 @@ def folder_of(out: str | os.PathLike[str] | None) -> Iterator[Path]:
     check_writable(Path(out).absolute().parent)
     folder = Path(f"{os.fspath(out)}.renders")
     folder.mkdir(exist_ok=True)
-    with locked(folder / _LOCK, remove=True) as mine:
+    with locked(folder / _LOCK) as mine:
         if not mine:
             raise OptionError(
                 f"the model {os.fspath(out)} is being learned, in another process or in this one; "

@@ -13,8 +13,6 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
-__all__ = ["Interrupted", "Interrupts"]
-
 
 class Interrupted(KeyboardInterrupt):
     """A signal stopped the run, which has saved its state.

@@ -29,7 +29,6 @@ import numpy as np
 from fide_plugins.errors import ImageError
 from fide_plugins.types import Float32, Mask
 from fide_plugins.validation.pixels import (
-    MAX_PIXELS,
     Clip,
     OnClip,
     Pixels,
@@ -53,16 +52,7 @@ from fide_plugins.validation.pixels import (
 )
 from fide_plugins.validation.points import whole_number
 
-__all__ = [
-    "MAX_PIXELS",
-    "alpha_of",
-    "as_batch",
-    "as_target",
-    "is_image",
-    "load",
-    "save",
-    "warn_clipped",
-]
+__all__ = ["alpha_of", "as_batch", "as_target", "is_image", "load", "save", "warn_clipped"]
 
 
 # -- public ----------------------------------------------------------------------------------------

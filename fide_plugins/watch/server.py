@@ -20,8 +20,6 @@ from typing import Any
 from fide_plugins.errors import OptionError
 from fide_plugins.watch.snapshot import PICTURES, RunFiles
 
-__all__ = ["Server", "serve"]
-
 _PAGE = {
     "/": ("page.html", "text/html; charset=utf-8"),
     "/page.css": ("page.css", "text/css; charset=utf-8"),

@@ -28,7 +28,7 @@ from fide_plugins.fitting.failures import (
     RenderFailedWarning,
 )
 from fide_plugins.fitting.rendering import Rendered, Renderer
-from fide_plugins.fitting.workers import DaemonThreads, OfExecutor
+from fide_plugins.fitting.workers import OfExecutor
 from fide_plugins.renderers import CommandRenderer
 
 from .scene import SPACE, disk, target
@@ -193,14 +193,14 @@ def gated(gate: Path) -> Callable[[Any], Any]:
     return render
 
 
-@pytest.mark.parametrize("pool", [ThreadPoolExecutor, ProcessPoolExecutor, DaemonThreads])
+@pytest.mark.parametrize("pool", [ThreadPoolExecutor, ProcessPoolExecutor])
 def test_waiting_in_the_queue_of_an_executor_is_no_time_of_a_render(
     pool: Any, tmp_path: Path
 ) -> None:
     context = {"mp_context": get_context("spawn")} if pool is ProcessPoolExecutor else {}
     with pool(1, **context) as executor:
         gate = tmp_path / "gate"
-        workers = OfExecutor(executor, Renderer(gated(gate), None), 3, own=False)
+        workers = OfExecutor(executor, Renderer(gated(gate), None), 3)
         first, *_, last = [workers.submit(np.zeros(2)) for _ in range(3)]
         while (began := workers.began(first)) is None or not first.running():
             time.sleep(0.01)

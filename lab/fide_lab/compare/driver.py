@@ -24,7 +24,7 @@ from fide_plugins.fitting.rendering import Failed, Rendered, Task
 from fide_plugins.recording.signals import Interrupts
 from fide_plugins.recording.storage import read_run
 from fide_plugins.runtime import files, machine
-from fide_plugins.runtime.machine import connected
+from fide_plugins.runtime.machine import missing
 from fide_plugins.runtime.messages import said_once
 from fide_plugins.validation.points import whole_number
 
@@ -256,6 +256,38 @@ def _worked(work: Callable[[Any], Any], item: Any) -> Rendered:
 # -- by Dask ---------------------------------------------------------------------------------------
 
 
+_TIMEOUT = 20.0  # seconds until the scheduler must answer, and until one worker must be there
+
+
+@contextmanager
+def _connected(address: str) -> Iterator[Any]:
+    """Client of the cluster whose scheduler has this address; closed at the end.
+
+    Raises DependencyError (an ImportError) without Dask, OptionError (a ValueError) if the
+    scheduler does not answer, there is no worker, or one has several threads: what runs beside
+    something else in one process would share its state, and distort its measured time.
+    """
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise missing("dask", "--dask needs the package distributed") from error
+    try:
+        client: Any = Client(address, timeout=_TIMEOUT, set_as_default=False)  # type: ignore[no-untyped-call]
+    except (OSError, ValueError, TimeoutError) as error:
+        raise OptionError(f"no Dask scheduler answers at {address}: {error}") from error
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=_TIMEOUT)
+        except TimeoutError as error:
+            raise OptionError("the Dask cluster has no worker; start one: dask worker") from error
+        workers = client.scheduler_info(n_workers=-1)["workers"]
+        if wrong := [name for name, worker in workers.items() if worker["nthreads"] != 1]:
+            raise OptionError(
+                f"the Dask worker {wrong[0]} must have one thread: dask worker --nthreads 1"
+            )
+        yield client
+
+
 def _on_dask(
     work: Callable[[Any], Any],
     items: Sequence[Any],
@@ -264,7 +296,7 @@ def _on_dask(
     lost: Callable[[Any, str], Any],
 ) -> Iterator[Any]:
     """As `in_processes`, by the workers of a cluster, which all see the folder `out`."""
-    with connected(address) as client:
+    with _connected(address) as client:
         from distributed import as_completed
 
         probe = out / f".probe.{secrets.token_hex(6)}.tmp"
