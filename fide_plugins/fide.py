@@ -17,7 +17,7 @@ from fide_plugins import encoders
 from fide_plugins.comparison.kept import Kept
 from fide_plugins.comparison.scale_space import ScaleSpace
 from fide_plugins.encoders.base import PatchEncoder
-from fide_plugins.evaluation import Evaluation, Evaluator
+from fide_plugins.evaluation import Evaluation, Evaluator, loss_of
 from fide_plugins.options import Options, make_options
 from fide_plugins.population import (
     CandidateRole,
@@ -27,12 +27,11 @@ from fide_plugins.population import (
     columns,
     in_order,
 )
-from fide_plugins.proposers import channel_subsets, make_proposer, make_steps
+from fide_plugins.proposers import make_proposer, make_steps
 from fide_plugins.proposers.image_gate import ImageGate
-from fide_plugins.runtime.machine import timed
 from fide_plugins.runtime.messages import warn_user
 from fide_plugins.runtime.schema import array, check, each, maybe, whole
-from fide_plugins.runtime.threads import Lock, one_at_a_time, one_thread
+from fide_plugins.runtime.threads import Lock, one_at_a_time, one_thread, timed
 from fide_plugins.saving import Saved
 from fide_plugins.search.cma_es import default_popsize
 from fide_plugins.search.moves import Stage
@@ -52,7 +51,6 @@ from fide_plugins.validation.points import (
     whole_number,
 )
 from fide_plugins.views import Views
-from fide_plugins.views.compared import loss_of
 from fide_plugins.views.findings import PixelNoise, SameImages
 
 if TYPE_CHECKING:
@@ -186,7 +184,7 @@ class FIDE(Saved):
         """Lines 1 and 2; posterior: of a learned model, where the search begins."""
         o, k, learned = self.options, self.popsize, posterior is not None
         views, encoder = self.evaluator.views, self.evaluator.encoder
-        subsets = channel_subsets(o, encoder)
+        subsets = o.channel_subsets or encoder.channel_subsets
         layout = None if self.space is None else self.space.layout
         setting = Setting(k, np.broadcast_to(self.sigma0, self.dim), o, layout, self.validity)
         groups: Sequence[Sequence[int]] | None = o.groups
@@ -342,7 +340,7 @@ class FIDE(Saved):
         self, z: Float64, search: Search, rng: np.random.Generator
     ) -> tuple[Float64, Float64]:
         """Proposals x and their z, (m, d) each, from samples of N(m, Sigma)."""
-        proposer, target = self.state.proposer, self._seen_target
+        proposer, target = self.state.proposer, self.evaluator.tokens_at(self.state.scales.blur)
         assert proposer is not None
         with timed(self.state.times, "train"):
             made = proposer.propose(search.stretched(z), target, search.mean, search.std, rng)
@@ -377,7 +375,7 @@ class FIDE(Saved):
         if steps is None or not between or not state.gate.strength > 0:
             return none
         with timed(self.state.times, "train"):
-            target = self._seen_target
+            target = self.evaluator.tokens_at(self.state.scales.blur)
             left = steps.left(search.popsize, target, search.std)
             if not left:
                 return none
@@ -445,7 +443,7 @@ class FIDE(Saved):
         """
         points = as_points(X, self.dim)
         n, evaluator, given = len(points), self.evaluator, losses is not None
-        clipping = self.state.clipping.copy()
+        clipping = replace(self.state.clipping)  # a copy: the rest may fail
         batch = evaluator.as_batch(n, images, losses, features, clipping)
         with timed(self.state.times, "encode"):  # lines 7 and 9
             encode = self.state.proposer is not None and (given or not self.state.scales.blur)
@@ -493,13 +491,13 @@ class FIDE(Saved):
         """Train (line 8) and update the search distribution (line 10)."""
         state = self.state
         members, losses = state.population.close_generation()
-        samples = state.take_samples()
+        samples, target = state.take_samples(), self.evaluator.tokens_at(state.scales.blur)
         if state.moves.stage is not Stage.SEARCH:
-            state.finish_stage(members, losses, samples, self._seen_target)
+            state.finish_stage(members, losses, samples, target)
             return
         try:
-            with timed(self.state.times, "train"):
-                self._train(samples)  # line 8
+            with timed(state.times, "train"):
+                self._train(samples, target)  # line 8
         finally:  # a generation that taught nothing is not lost
             state.update_search(members, losses)  # line 10
             self._decide(decision)
@@ -516,7 +514,7 @@ class FIDE(Saved):
         if over:
             state.finish_search(guided=self.options.restarts == "moves" and guided)
 
-    def _train(self, samples: list[TrainingSample]) -> None:
+    def _train(self, samples: list[TrainingSample], target: Tensor) -> None:
         """Line 8: the proposer learns from what was evaluated since the last time."""
         state = self.state
         learned, state.learned = state.learned, []
@@ -525,7 +523,7 @@ class FIDE(Saved):
         everything = samples if not learned else in_order(samples + learned)
         if samples or state.gate.guarded:  # which judges the generation as a whole
             _, tokens, losses = columns(everything)
-            state.gate.note_images(tokens, self._seen_target, losses)
+            state.gate.note_images(tokens, target, losses)
             del tokens
         if samples:
             state.proposer.update(*columns(samples), state.search.std)
@@ -675,11 +673,6 @@ class FIDE(Saved):
     def target_tokens(self) -> Tensor:
         """Tokens (T, C) of the target."""
         return self.evaluator.target_tokens
-
-    @property
-    def _seen_target(self) -> Tensor:
-        """Tokens (T, C) of the target as the present search sees it."""
-        return self.evaluator.tokens_at(self.state.scales.blur)
 
     @property
     def views(self) -> Views:

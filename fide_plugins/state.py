@@ -22,6 +22,7 @@ from fide_plugins.population import (
 )
 from fide_plugins.proposers import Proposer
 from fide_plugins.proposers.feature_buffer import MOST, for_jacobian
+from fide_plugins.proposers.forward import GaussNewtonSteps
 from fide_plugins.proposers.image_gate import ImageGate
 from fide_plugins.runtime.schema import (
     GENERATOR,
@@ -42,12 +43,11 @@ from fide_plugins.search.moves import Stage, Start
 from fide_plugins.search.one_search import Search
 from fide_plugins.search.policy import MovePolicy
 from fide_plugins.types import Estimate, Float32, Float64, Posterior, Solution
-from fide_plugins.validation.pixels import Clipping
+from fide_plugins.validation.values import Clipping
 from fide_plugins.views.findings import PixelNoise
 
 if TYPE_CHECKING:
     from fide_plugins.comparison.kept import Kept
-    from fide_plugins.proposers.forward import GaussNewtonSteps
     from fide_plugins.search.recall import Recalled
 
 
@@ -218,17 +218,18 @@ class State:
         if self.best is not None and self.best.search_number == self.searches:
             self.best = replace(self.best, mean=self.search.mean)
         if self.steps is not None:
-            self.steps.after_generation()
+            self.steps.due = True
 
     def is_over(self, *, guided: bool) -> bool:
         """Whether the present search is over; guided: whether images guide it.
 
         A coarse one is, too, where it is as narrow as its blur.
         """
-        if self.scales.blur:
-            narrow = bool((self.search.std < REACH * self.scales.left[0]).all())
-            return self.search.is_over(guided=True) or narrow
-        return self.search.is_over(guided=guided or self.scales.asked)
+        search, scales = self.search, self.scales
+        guided = guided or scales.asked or scales.blur > 0
+        if search.termination.is_over(search.distribution.std, guided=guided):
+            return True
+        return bool(scales.blur and (search.std < REACH * scales.left[0]).all())
 
     def finish_search(self, *, guided: bool) -> None:
         """Go on elsewhere; what the best of all searches found is kept.

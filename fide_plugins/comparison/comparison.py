@@ -57,7 +57,7 @@ class Comparison:
     """How renders are compared with a target.
 
     views: of the target.
-    loss: of views, such as `views.compared.loss_of(views, "mse")`.
+    loss: of views, such as `evaluation.loss_of(views, "mse")`.
     loss_at: makes the same loss for views whose targets are blurred; None: the loss is a user's own
         and knows one target; it gets the target with the blurred difference.
     light: "none", "exposure" or "shading": what of it is set aside.
@@ -119,7 +119,7 @@ class Comparison:
             parts = self.views.split(image[None])
             adjusted, light = [], []
             for one, part in zip(level.each, parts, strict=True):
-                x, found, free = one.adjusted(*_taken(part[0]))
+                x, found, free = one.adjusted(part[0])
                 adjusted.append(x)
                 light.append(found)
                 hidden[i] += free / len(parts)
@@ -241,11 +241,13 @@ class _OneView:
         """Sharp target at which the light is found."""
         return _small(self._view.target)
 
-    def adjusted(
-        self, image: Float32, coverage: Float32 | None
-    ) -> tuple[Float32, Light | None, float]:
-        """A render (H, W, 3), its light, and the share of pixels that it does not cover."""
-        light = self.light(image, coverage)
+    def adjusted(self, image: Float32) -> tuple[Float32, Light | None, float]:
+        """A render (H, W, C), its light, and the share of pixels that it does not cover."""
+        coverage, light = None, None
+        if image.shape[-1] == 4:
+            image, coverage = _taken(image)
+        if self._comparison.light != NONE:
+            light = self.light(image, coverage)
         y = image if light is None else light.applied(image)
         apart = blurred(y, float(np.hypot(self._blur, self._comparison.camera))) - self.target
         factor = None if self.scale is None else robust_factor(apart, self.scale)  # (H, W)
@@ -272,15 +274,13 @@ class _OneView:
 
     def lit(self, image: Float32, coverage: Float32 | None) -> Float32:
         """A render (H, W, 3) in its light, as soft as the target."""
-        light = self.light(image, coverage)
-        y = image if light is None else light.applied(image)
-        return blurred(y, self._comparison.camera)
+        if self._comparison.light != NONE:
+            image = self.light(image, coverage).applied(image)
+        return blurred(image, self._comparison.camera)
 
-    def light(self, image: Float32, coverage: Float32 | None) -> Light | None:
-        kind = self._comparison.light
-        if kind == NONE:
-            return None
-        weights = self._view.weights
+    def light(self, image: Float32, coverage: Float32 | None) -> Light:
+        """Light in which a render (H, W, 3) is nearest to the target."""
+        kind, weights = self._comparison.light, self._view.weights
         if coverage is not None:
             weights = coverage if weights is None else weights * coverage
         if weights is None:

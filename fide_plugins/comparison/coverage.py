@@ -10,7 +10,7 @@ import numpy as np
 from fide_plugins.errors import ImageError
 from fide_plugins.types import Float32
 from fide_plugins.validation.images import as_target, is_image
-from fide_plugins.validation.pixels import OnClip
+from fide_plugins.validation.values import OnClip
 from fide_plugins.views.views import Views
 
 __all__ = ["is_pair", "straight", "with_coverage", "without_coverage"]

@@ -105,6 +105,8 @@ def less_noisy(image: Float32, rows: int, columns: int) -> Float32:
     """Samples (rows, columns, 3) of an image (H, W, 3), smoothed according to its noise level."""
     clean = despeckled(image)
     samples = sampled(clean, rows, columns)
+    if clean is image:
+        return samples
     w = min(1.0, (noise_level(image, clean) - FAINT) / (NOISY - FAINT))
     if w <= 0.0:
         return samples

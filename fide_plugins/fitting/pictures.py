@@ -8,7 +8,7 @@ import numpy as np
 
 from fide_plugins.errors import ImageError
 from fide_plugins.types import Float32
-from fide_plugins.validation.pixels import Clipping
+from fide_plugins.validation.values import Clipping
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE

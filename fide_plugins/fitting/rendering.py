@@ -20,7 +20,7 @@ from fide_plugins.errors import ImageError, RenderError
 from fide_plugins.space import Space
 from fide_plugins.types import Float64
 from fide_plugins.validation.image_files import read_pixels
-from fide_plugins.validation.pixels import is_path, is_pil
+from fide_plugins.validation.images import is_path, is_pil
 
 _T = TypeVar("_T")
 _BROKEN = (

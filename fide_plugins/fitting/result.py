@@ -24,7 +24,7 @@ from fide_plugins.recording.storage import RunDirectoryError, is_saved, read_run
 from fide_plugins.renderers import naming
 from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.messages import cut
-from fide_plugins.validation.pixels import ValueRange
+from fide_plugins.validation.values import ValueRange
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

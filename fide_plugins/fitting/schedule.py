@@ -20,7 +20,7 @@ from fide_plugins.fitting.pictures import as_told
 from fide_plugins.fitting.rendering import Failed, Outcome, Rendered
 from fide_plugins.runtime.messages import warn_user
 from fide_plugins.types import Float64
-from fide_plugins.validation.pixels import Clipping
+from fide_plugins.validation.values import Clipping
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE

@@ -21,7 +21,7 @@ from fide_plugins.fitting.rendering import Failed, Outcome, Portable, Task, Work
 from fide_plugins.runtime.machine import cores
 from fide_plugins.runtime.messages import warn_user
 from fide_plugins.types import Float64
-from fide_plugins.validation.pixels import is_pil, is_torch_tensor
+from fide_plugins.validation.images import is_pil, is_torch_tensor
 
 LOOK = 0.25
 """Seconds between two looks at the clocks of renders that may take too long."""

@@ -151,15 +151,11 @@ class ForwardProposer:
 
     def forget(self) -> None:
         """Begin with an empty buffer: another search goes elsewhere."""
-        self._x: Float64 = np.empty((0, self.dim))
+        self.x: Float64 = np.empty((0, self.dim))
+        """(n, d), candidates that are remembered."""
         self._losses: Float64 = np.empty(0)
         self._buffer = FeatureBuffer(self.channels, self.select)
         self._fit: tuple[Float64, Jacobian] | None = None  # with its std
-
-    @property
-    def ready(self) -> bool:
-        """Whether there is enough to propose from."""
-        return len(self._x) >= self.minimum
 
     def update(self, x: Float64, tokens: Tensor, losses: Float64, std: Float64) -> None:
         """Remember candidates x (n, d), the tokens (n, T, C) of their images, losses (n,)."""
@@ -169,11 +165,11 @@ class ForwardProposer:
             kept = best_and_latest(losses, n)
             x, tokens, losses = x[kept], tokens[torch.from_numpy(kept)], losses[kept]
         self._buffer.add(tokens, n + len(x))
-        self._x = np.concatenate([self._x, x])
+        self.x = np.concatenate([self.x, x])
         self._losses = np.concatenate([self._losses, losses])
-        if len(self._x) > n:
+        if len(self.x) > n:
             kept = best_and_latest(self._losses, n)
-            self._x, self._losses = self._x[kept], self._losses[kept]
+            self.x, self._losses = self.x[kept], self._losses[kept]
             self._buffer.keep(kept)
 
     def propose(
@@ -193,14 +189,10 @@ class ForwardProposer:
         kept = self.kept * (1 - gain)  # (m, 1)
         kept = np.maximum(kept, min(_LEAST_KEPT, self.kept))  # no two proposals are one point
         undetermined = penalty / (jacobian.values + penalty)  # (m, d), in [0, 1]
-        sampled = np.clip((z - self._x[jacobian.best]) / scale, -_FAR, _FAR) @ jacobian.vectors
+        sampled = np.clip((z - self.x[jacobian.best]) / scale, -_FAR, _FAR) @ jacobian.vectors
         steps += kept * undetermined * sampled
-        proposals: Float64 = self._x[jacobian.best] + scale * (steps @ jacobian.vectors.T)
+        proposals: Float64 = self.x[jacobian.best] + scale * (steps @ jacobian.vectors.T)
         return proposals
-
-    def knows(self, x: Float64) -> bool:
-        """Whether x (d,) is among the candidates that are remembered."""
-        return bool((self._x == x).all(axis=1).any())
 
     def promised(self, target: Tensor, std: Float64) -> float:
         """Share of the residual's |e*|^2 that its own step would remove, by the model; at most 1.
@@ -232,7 +224,7 @@ class ForwardProposer:
         scale: Float64 = np.maximum(std, floor)  # which can be divided by
         if self._fit is None or not np.array_equal(self._fit[0], scale):
             best = int(np.argmin(self._losses))
-            u = (self._x - self._x[best]) / scale
+            u = (self.x - self.x[best]) / scale
             fit = fit_jacobian(u, self._buffer.gram, best, self.ridge, self._buffer.rounding)
             self._fit = scale, fit
         jacobian = self._fit[1]
@@ -243,7 +235,7 @@ class ForwardProposer:
 
     def state_dict(self) -> dict[str, Any]:
         """The buffer."""
-        return {"x": self._x, "losses": self._losses, "buffer": self._buffer.state_dict()}
+        return {"x": self.x, "losses": self._losses, "buffer": self._buffer.state_dict()}
 
     def load_state_dict(
         self, state: Mapping[str, Any], sides: Sides | None = None, device: Any = None
@@ -252,7 +244,7 @@ class ForwardProposer:
         own = {"d": self.dim}
         check(state, _FORWARD_SCHEMA, own, "proposer")
         self._fit = None
-        self._x, self._losses = state["x"], state["losses"]
+        self.x, self._losses = state["x"], state["losses"]
         self._buffer.load_state_dict(state["buffer"], {**(sides or {}), "n": own["n"]})
 
 
@@ -311,7 +303,8 @@ class GaussNewtonSteps:
         """Another search begins; its first generation comes first."""
         self.forward.forget()
         self._new: list[TrainingSample] = []  # the model does not know them yet
-        self._due = False  # whether a generation was completed and nobody has asked since
+        self.due = False
+        """Whether a generation was completed and nobody has asked since."""
         self._left = 0
 
     def add(self, sample: TrainingSample) -> None:
@@ -322,10 +315,6 @@ class GaussNewtonSteps:
             losses = np.array([one.loss for one in self._new])
             self._new = [self._new[i] for i in best_and_latest(losses, most)]
 
-    def after_generation(self) -> None:
-        """Note that a generation was completed."""
-        self._due = True
-
     def left(self, popsize: int, target: Tensor, std: Float64) -> int:
         """How many steps come before the next generation of popsize candidates.
 
@@ -333,17 +322,18 @@ class GaussNewtonSteps:
 
         target: tokens (T, C).  std: (d,), of the search distribution.
         """
-        if not (self._due or self._left):
+        if not (self.due or self._left):
             return 0
         if self._new:
             self.forward.update(*columns(in_order(self._new)), std)
             self._new = []
-        promise = self.forward.promised(target, std) if self.forward.ready else 0.0
+        enough = len(self.forward.x) >= self.forward.minimum
+        promise = self.forward.promised(target, std) if enough else 0.0
         if not promise >= self.least_promise:  # or it is NaN
             self._left = 0
-        elif self._due:
+        elif self.due:
             self._left = round(_MOST * promise * popsize)
-        self._due = False
+        self.due = False
         return self._left
 
     def new_ones(self, x: Float64, is_out: Callable[[Float64], bool]) -> Float64:
@@ -352,7 +342,8 @@ class GaussNewtonSteps:
         is_out: whether a point (d,) was asked and not yet told.
         """
         for i, row in enumerate(x):
-            if self.forward.knows(row) or is_out(row) or (x[:i] == row).all(axis=1).any():
+            known = (self.forward.x == row).all(axis=1).any() or (x[:i] == row).all(axis=1).any()
+            if known or is_out(row):
                 self._left = i
                 return x[:i]
         return x
@@ -363,14 +354,14 @@ class GaussNewtonSteps:
 
     def end(self) -> None:
         """Take no more before the generation that begins now."""
-        self._due, self._left = False, 0
+        self.due, self._left = False, 0
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that changes."""
         return {
             "forward": self.forward.state_dict(),
             "new": [sample.state_dict() for sample in self._new],
-            "due": self._due,
+            "due": self.due,
             "left": self._left,
         }
 
@@ -379,4 +370,4 @@ class GaussNewtonSteps:
         check(state, _STEPS_SCHEMA, dict(sides), "steps")
         self.forward.load_state_dict(state["forward"], sides)
         self._new = [TrainingSample.from_state(sample, device) for sample in state["new"]]
-        self._due, self._left = state["due"], state["left"]
+        self.due, self._left = state["due"], state["left"]

@@ -41,7 +41,7 @@ from fide_plugins.space import Choice, Space
 from fide_plugins.types import Float32
 from fide_plugins.validation.image_files import read_pixels
 from fide_plugins.validation.images import as_target
-from fide_plugins.validation.pixels import Pixels
+from fide_plugins.validation.values import Pixels
 
 TIMEOUT = 60.0
 """Seconds that a render may take, where none are given."""

@@ -1,4 +1,4 @@
-"""The machine: hardware, time, what is installed and what to do where it is not."""
+"""The machine: hardware, what is installed and what to do where it is not."""
 
 from __future__ import annotations
 
@@ -7,9 +7,7 @@ import math
 import os
 import platform
 import sys
-import time
-from collections.abc import Iterator, MutableMapping
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -74,18 +72,6 @@ def cores(limit: Path = Path("/sys/fs/cgroup/cpu.max")) -> int:
         quota, period = map(float, limit.read_text().split())
         found = min(found, math.ceil(quota / period))
     return max(1, found)
-
-
-@contextmanager
-def timed(times: MutableMapping[str, float], part: str) -> Iterator[None]:
-    """Add the time of this block to `part`, without the time that it adds to other parts.
-
-    A block that raises adds nothing: an error must not change the state.
-    """
-    others, start = sum(times.values()), time.perf_counter()
-    yield
-    elapsed = time.perf_counter() - start
-    times[part] += max(0.0, elapsed - (sum(times.values()) - others))
 
 
 # -- distributions of OpenCV, and extras -----------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Threads: how many compute, locks, and what a fork leaves of them.
+"""What is around a computation: how many threads take part, who waits, how long it takes.
 
 The small parts compute in one thread, within `one_thread`; networks, and functions of the user's,
 in as many as the user has set, within `user_threads`.  OpenMP and MKL have one setting for each
@@ -12,8 +12,9 @@ import ctypes
 import os
 import sys
 import threading
-from collections.abc import Callable, Iterable
-from contextlib import ContextDecorator, suppress
+import time
+from collections.abc import Callable, Iterable, Iterator, MutableMapping
+from contextlib import ContextDecorator, contextmanager, suppress
 from functools import wraps
 from itertools import product
 from pathlib import Path
@@ -192,6 +193,21 @@ def one_at_a_time(method: F) -> F:
             return method(self, *args, **kwargs)
 
     return cast(F, locked)
+
+
+# -- time ------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def timed(times: MutableMapping[str, float], part: str) -> Iterator[None]:
+    """Add the time of this block to `part`, without the time that it adds to other parts.
+
+    A block that raises adds nothing: an error must not change the state.
+    """
+    others, start = sum(times.values()), time.perf_counter()
+    yield
+    elapsed = time.perf_counter() - start
+    times[part] += max(0.0, elapsed - (sum(times.values()) - others))
 
 
 # -- forks -----------------------------------------------------------------------------------------

@@ -7,8 +7,9 @@ unit cube that is rendered.  The maps between them are those of `mixed`.
 from __future__ import annotations
 
 import copy
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from fide_plugins.options import Options
 from fide_plugins.population import Candidate, mirrored_pair, search_columns
 from fide_plugins.runtime.schema import Schema, Sides, Stateful, anything, each, real, side
 from fide_plugins.search.cma_es import CMAES
-from fide_plugins.search.mixed import Mixed
+from fide_plugins.search.mixed import Mixed, closest, inside, into
 from fide_plugins.search.moves import Start
 from fide_plugins.space.layout import Layout
 from fide_plugins.types import Float64
@@ -152,10 +153,11 @@ class Search(Stateful):
         self.setting = setting
         self.popsize = start.population * setting.popsize
         self._guard = setting.options.guard_search
-        self._mixed = Mixed(setting.layout)
+        self._mixed = None if setting.layout is None else Mixed(setting.layout)
         self._start = start
-        is_first = np.array_equal(start.std, setting.sigma0)  # as wide, since nothing is known
-        std = self._mixed.widened(start.std) if is_first else start.std
+        std = start.std
+        if self._mixed is not None and np.array_equal(std, setting.sigma0):  # nothing is known
+            std = self._mixed.widened(std)
         widest = start.widest if self._guard else np.inf
         self.distribution = CMAES(start.mean, std, self.popsize, widest=widest)
         dim, options = len(start.mean), setting.options
@@ -188,14 +190,14 @@ class Search(Stateful):
     def std(self) -> Float64:
         """Standard deviations (d,) of what is rendered."""
         std = self.distribution.std
-        return self._mixed.A * std if len(self._mixed.A) else std
+        return std if self._mixed is None else self._mixed.A * std
 
     def sample(self, n: int, rng: np.random.Generator) -> tuple[Float64, Float64]:
         """Draw n candidates z ~ N(m, Sigma), and the points x that they stand for, (n, d) each."""
 
         def draw(m: int) -> tuple[Float64, Float64]:
             z = self.distribution.sample(m, rng)
-            return self._with_fixed(self._mixed.into(z, self.mean)), z
+            return self._with_fixed(self._reflected(self.stretched(z))), z
 
         validity = self.setting.validity
         if validity is None:
@@ -211,16 +213,20 @@ class Search(Stateful):
 
     def render_mean(self, mean: Float64) -> Float64:
         """Point (d,) of the cube that a mean (d,) stands for."""
-        x: Float64 = self._mixed.reflected(mean[None])[0]
+        x: Float64 = self._reflected(mean[None])[0]
         return x
 
     def stretched(self, z: Float64) -> Float64:
         """Candidates z (n, d) as samples of N(mean, std^2), before any are put into the cube."""
-        return self._mixed.stretched(z, self.mean)
+        return z if self._mixed is None else self._mixed.stretched(z, self.mean)
+
+    def _reflected(self, v: Float64) -> Float64:
+        """Points of the cube for those (n, d), reflected at its walls, or wrapped."""
+        return into(v) if self._mixed is None else self._mixed.reflected(v)
 
     def clipped(self, x: Float64) -> Float64:
         """Points of the cube for any (n, d), clipped at its walls, or wrapped."""
-        return self._mixed.clipped(x)
+        return inside(x) if self._mixed is None else self._mixed.clipped(x)
 
     def place_proposals(self, x: Float64, z: Float64) -> Float64:
         """Points of the cube for proposals x (n, d), with the values that this search fixes.
@@ -230,7 +236,7 @@ class Search(Stateful):
         x, validity = self._with_fixed(self.clipped(x)), self.setting.validity
         if validity is None:
             return x
-        sampled = self._with_fixed(self._mixed.into(z, self.mean))
+        sampled = self._with_fixed(self._reflected(self.stretched(z)))
         return validity.moved_back(x, sampled, self._start.mean)
 
     def _with_fixed(self, x: Float64) -> Float64:
@@ -240,7 +246,8 @@ class Search(Stateful):
 
     def closest(self, x: Float64) -> Float64:
         """Return the z (n, d) of points x (n, d) that is closest to the mean."""
-        return self._mixed.closest(x, self.mean)
+        mean = self.mean
+        return closest(x, mean) if self._mixed is None else self._mixed.closest(x, mean)
 
     def tell(
         self, members: list[Candidate], losses: Float64, point: tuple[Float64, float] | None
@@ -257,7 +264,7 @@ class Search(Stateful):
             losses = losses.copy()  # those given are the caller's
             z[worst], losses[worst] = self.closest(point[0][None])[0], point[1]
             injected[worst] = True
-        pair = mirrored_pair(members)
+        pair = mirrored_pair(members) if self.distribution.draws_pair else None
         if pair is not None and injected[list(pair)].any():
             pair = None
         self.distribution.tell(z, losses, injected & self._guard, pair)
@@ -274,12 +281,17 @@ class Search(Stateful):
 
     def _correct(self) -> None:
         """Apply the margin, and move the mean back to what is fixed."""
-        self._mixed.correct(self.distribution)
+        if self._mixed is not None:
+            self._mixed.correct(self.distribution)
         self.distribution.mean = self._with_fixed(self.distribution.mean)
 
-    def is_over(self, *, guided: bool) -> bool:
-        """Whether to begin another search; guided: whether images guide it."""
-        return self.termination.is_over(self.distribution.std, guided=guided)
+    def load_state_dict(
+        self, state: Mapping[str, Any], sides: Sides | None = None, device: Any = None
+    ) -> None:
+        """Go on where `state_dict` was taken; ValueError if it is none."""
+        if (state.get("mixed") is None) != (self._mixed is None):
+            raise ValueError("search['mixed'] is not of this space")
+        super().load_state_dict(state)
 
     def _sides(self) -> Sides:
-        return {"popsize": self.popsize, "d": len(self.mean), "axes": len(self._mixed.A)}
+        return {"popsize": self.popsize, "d": len(self.mean), "axes": len(self.mean)}

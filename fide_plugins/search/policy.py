@@ -32,7 +32,7 @@ from fide_plugins.runtime.schema import (
     values,
     whole,
 )
-from fide_plugins.search.mixed import Axes, Mixed, Values
+from fide_plugins.search.mixed import Axes, Mixed, Values, inside
 from fide_plugins.search.moves import (
     AFTER_DESCENT,
     ChangeValue,
@@ -178,7 +178,7 @@ class MovePolicy:
             removal=Removal(),
             sensitivity=Sensitivity(dim, channels, axes),
             axes=axes,
-            place=Mixed(layout).clipped,
+            place=inside if layout is None else Mixed(layout).clipped,
             values=Values(axes, layout),
         )
         self._candidates = max(_CANDIDATES, popsize)

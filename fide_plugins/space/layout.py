@@ -26,7 +26,7 @@ class Layout:
 
     dim: d, number of axes.
     slices: of the axes of each parameter; empty for a constant.
-    periodic: (d,), axes that wrap around.
+    periodic: (d,), axes that wrap around; wrapped: the same, None where none does.
     stepped: (d,), axes of which only cells matter: integers, steps, choices of two.
     choices: slices of the blocks of axes in which the largest coordinate decides.
     """
@@ -43,6 +43,7 @@ class Layout:
         self.choices = [self.slices[i] for i in self._many]
         self.periodic = np.zeros(self.dim, bool)
         self.periodic[self._axis] = [isinstance(k, Float) and k.periodic for k in self._of(kinds)]
+        self.wrapped: Mask | None = self.periodic if self.periodic.any() else None
         scales = [kind.scale for kind in self._of(kinds)]
         columns = np.array(scales, np.float64).reshape(-1, 4).T
         self._low, self._high, self._step = (column.copy() for column in columns[:3])

@@ -19,7 +19,7 @@ from fide_plugins.runtime.files import RefusedFileError, check_regular
 from fide_plugins.runtime.machine import missing
 from fide_plugins.runtime.messages import warn_user
 from fide_plugins.types import Float32
-from fide_plugins.validation.pixels import MAX_PIXELS, Pixels, describe, typed
+from fide_plugins.validation.values import MAX_PIXELS, Pixels, describe, typed
 
 _WIDENED = ("PNG", "PPM")  # formats of 16 bits, which Pillow may keep in 32
 _TIFF = (".tif", ".tiff")

@@ -17,7 +17,7 @@ from fide_plugins.errors import ImageError
 from fide_plugins.runtime.schema import array, check, real, row
 from fide_plugins.types import Float32, Float64, Mask
 from fide_plugins.validation.images import alpha_of, as_batch, as_pixels, as_target, is_image
-from fide_plugins.validation.pixels import (
+from fide_plugins.validation.values import (
     AUTO,
     OnClip,
     Pixels,
@@ -257,7 +257,7 @@ class Views:
 
         Raises ImageError, naming the view; OptionError for what is no range.
         """
-        values = value_range_of(value_range)
+        values = None if value_range is None else value_range_of(value_range)
         if isinstance(target, Views) and mask is None and weights is None and values is None:
             return target
         listed = is_list_of_images(target)

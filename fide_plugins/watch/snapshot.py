@@ -18,7 +18,7 @@ from fide_plugins.recording.storage import CHECKPOINT, read_record
 from fide_plugins.renderers.naming import flat
 from fide_plugins.runtime.files import MOST_BYTES, read_regular
 from fide_plugins.space import Space
-from fide_plugins.validation.pixels import MAX_PIXELS
+from fide_plugins.validation.values import MAX_PIXELS
 
 PICTURES = ("target.png", "best.png")
 _PNG = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"

@@ -198,7 +198,7 @@ def test_the_better_half_and_the_latest_half_are_remembered() -> None:
     proposer = make(capacity=10)
     for part in np.array_split(np.arange(40), 20):
         proposer.update(x[part], tokens[torch.from_numpy(part)], losses[part], STD)
-    kept = [int(np.flatnonzero((x == row).all(axis=1))[0]) for row in proposer._x]
+    kept = [int(np.flatnonzero((x == row).all(axis=1))[0]) for row in proposer.x]
     best = np.argsort(losses[:35])[:5]
     assert kept == [*sorted(best), 35, 36, 37, 38, 39]
     np.testing.assert_array_equal(proposer._losses, losses[kept])
@@ -206,4 +206,4 @@ def test_the_better_half_and_the_latest_half_are_remembered() -> None:
     np.testing.assert_allclose(proposer._buffer.gram, features @ features.T, atol=1e-12)
     both = make(capacity=10)
     both.update(x, tokens, losses, STD)
-    assert sorted(map(tuple, both._x)) == sorted(map(tuple, proposer._x))
+    assert sorted(map(tuple, both.x)) == sorted(map(tuple, proposer.x))

@@ -50,7 +50,7 @@ def test_there_are_as_many_as_the_model_promises() -> None:
     """It promises all of the residual of a linear scene, and less of what no parameters make."""
     for target in (TARGET, UNLIKE):
         steps = taught(least_promise=0.0)
-        steps.after_generation()
+        steps.due = True
         left = steps.left(K, target, STD)
         promise = steps.forward.promised(target, STD)
         assert left == round(promise * ALL)
@@ -61,18 +61,18 @@ def test_there_are_as_many_as_the_model_promises() -> None:
 def test_they_come_once_after_each_generation() -> None:
     steps = taught()
     assert steps.left(K, TARGET, STD) == 0  # none is complete
-    steps.after_generation()
+    steps.due = True
     for left in range(ALL, 0, -1):
         assert steps.left(K, TARGET, STD) == left
         take(steps)
     assert steps.left(K, TARGET, STD) == 0
-    steps.after_generation()
+    steps.due = True
     assert steps.left(K, TARGET, STD) == ALL
 
 
 def test_they_end_when_the_model_no_longer_promises_much() -> None:
     steps = taught()
-    steps.after_generation()
+    steps.due = True
     assert steps.left(K, TARGET, STD) == ALL
     assert steps.left(K, UNLIKE * 3, STD) == 0
     assert steps.left(K, TARGET, STD) == 0
@@ -81,9 +81,9 @@ def test_they_end_when_the_model_no_longer_promises_much() -> None:
 @pytest.mark.parametrize("why", ["evaluated", "out", "an earlier step"])
 def test_steps_end_at_one_that_is_not_new(why: str) -> None:
     steps = taught(12)
-    steps.after_generation()
+    steps.due = True
     assert steps.left(K, TARGET, STD) == ALL
-    second = {"evaluated": steps.forward._x[3], "out": MEAN + 0.02, "an earlier step": MEAN}[why]
+    second = {"evaluated": steps.forward.x[3], "out": MEAN + 0.02, "an earlier step": MEAN}[why]
     x = np.stack([MEAN, second, MEAN + 0.01])
     kept = steps.new_ones(x, lambda row: bool((row == MEAN + 0.02).all()))
     np.testing.assert_array_equal(kept, x[:1])
@@ -93,7 +93,7 @@ def test_steps_end_at_one_that_is_not_new(why: str) -> None:
 
 def test_a_step_of_a_linear_scene_goes_to_the_answer() -> None:
     steps = taught(40)
-    steps.after_generation()
+    steps.due = True
     assert steps.left(K, TARGET, STD) == ALL
     assert np.abs(take(steps, 5) - TRUTH).max(axis=1).min() < 1e-3
 
@@ -101,7 +101,7 @@ def test_a_step_of_a_linear_scene_goes_to_the_answer() -> None:
 @pytest.mark.parametrize("learned", [False, True])
 def test_state(learned: bool) -> None:
     first, second = taught(), GaussNewtonSteps(ForwardProposer(D, minimum=5))
-    first.after_generation()
+    first.due = True
     if learned:
         first.left(K, TARGET, STD)
         take(first, 3)

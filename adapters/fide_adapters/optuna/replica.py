@@ -17,7 +17,7 @@ from torch import Tensor
 from fide_plugins.evaluation import Evaluation
 from fide_plugins.fide import FIDE
 from fide_plugins.population import Candidate, CandidateRole, Population, columns
-from fide_plugins.runtime.machine import timed
+from fide_plugins.runtime.threads import timed
 from fide_plugins.saving import as_arrays
 from fide_plugins.search.moves import Stage
 from fide_plugins.types import Float64

@@ -21,9 +21,8 @@ from fide_plugins import losses as losses_module
 from fide_plugins.errors import CheckpointError, ImageError, LossError, OptionError
 from fide_plugins.losses.base import as_losses
 from fide_plugins.population import Population
-from fide_plugins.runtime.machine import timed
 from fide_plugins.runtime.schema import Schema, Sides, array, check, maybe, real, whole
-from fide_plugins.runtime.threads import Lock, one_at_a_time, one_thread
+from fide_plugins.runtime.threads import Lock, one_at_a_time, one_thread, timed
 from fide_plugins.saving import Saved
 from fide_plugins.search.cma_es import default_popsize
 from fide_plugins.types import Float32, Float64, Solution

@@ -39,8 +39,7 @@ from torch import Tensor, nn
 
 from fide_lab.baselines.base import Baseline
 from fide_lab.baselines.zerograds import make
-from fide_plugins.runtime.machine import timed
-from fide_plugins.runtime.threads import user_threads
+from fide_plugins.runtime.threads import timed, user_threads
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.options import one_of, positive
 from fide_plugins.validation.points import whole_number

@@ -16,7 +16,7 @@ from fide_plugins.denoiser import Denoise, Network
 from fide_plugins.denoiser.training import standard_normal
 from fide_plugins.errors import OptionError
 from fide_plugins.proposers.diffusion import DiffusionProposer
-from fide_plugins.runtime.machine import timed
+from fide_plugins.runtime.threads import timed
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.options import positive, positive_fraction
 from fide_plugins.validation.points import whole_number

@@ -25,7 +25,7 @@ from torch import Tensor, nn
 
 from fide_lab.baselines.base import Baseline
 from fide_plugins.errors import OptionError
-from fide_plugins.runtime.machine import timed
+from fide_plugins.runtime.threads import timed
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.options import positive
 from fide_plugins.validation.points import whole_number

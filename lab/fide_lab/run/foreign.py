@@ -16,7 +16,7 @@ from fide_plugins.comparison.coverage import without_coverage
 from fide_plugins.recording.record import Record
 from fide_plugins.types import Float32, Float64, Optimizer
 from fide_plugins.validation.images import as_batch
-from fide_plugins.validation.pixels import Clipping
+from fide_plugins.validation.values import Clipping
 
 ERROR = "error"
 """Name of the metric in the record of a run: the error of the best candidate so far."""

@@ -30,8 +30,8 @@ from fide_plugins.recording.signals import Interrupted, Interrupts
 from fide_plugins.recording.storage import remove_checkpoint
 from fide_plugins.types import Float32, Float64, Optimizer
 from fide_plugins.validation.images import as_batch, as_target
-from fide_plugins.validation.pixels import Clipping
 from fide_plugins.validation.points import as_points
+from fide_plugins.validation.values import Clipping
 
 PIECE = 32
 """Candidates rendered before their results are told, unless the task says another number.  It is
