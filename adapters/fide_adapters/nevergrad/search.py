@@ -137,10 +137,10 @@ class Search:
         """
         loss, batch = result.loss, None
         if self._read is not None:
-            if np.size(loss) > _MOST_OBJECTIVES:
+            if _count(loss) > _MOST_OBJECTIVES:
                 raise ImageError(
                     f"with a target a result is a loss, up to {_MOST_OBJECTIVES} losses of several "
-                    f"objectives, or an image, not {np.size(loss)} numbers: return an image (H, W) "
+                    f"objectives, or an image, not {_count(loss)} numbers: return an image (H, W) "
                     "or (H, W, C) as an array with all its axes, or the pair (loss, image)"
                 )
             if result.image is not None:
@@ -154,7 +154,7 @@ class Search:
             )
         # Nevergrad replaces +inf and NaN, but takes -inf for the best loss of all, and in an array
         # of one number it replaces nothing
-        if isinstance(loss, list | tuple | np.ndarray) and np.size(loss) == 1:
+        if isinstance(loss, list | tuple | np.ndarray) and _count(loss) == 1:
             loss = np.ravel(loss)[0]
         return math.inf if isinstance(loss, Real) and not math.isfinite(loss) else loss, batch
 
@@ -183,3 +183,10 @@ class Search:
                 snapshot["state"]["best"]["image"] = None
             state["_snapshot"] = as_arrays(snapshot)
         return state
+
+
+def _count(loss: Any) -> int:
+    """Number of numbers in a loss, in arrays and nested lists of any shape."""
+    if isinstance(loss, list | tuple):
+        return sum(_count(one) for one in loss)
+    return math.prod(np.shape(loss))
