@@ -264,17 +264,16 @@ class Views:
         if not listed and (is_list_of_images(mask) or is_list_of_images(weights)):
             raise ImageError("a list of masks or weights needs a list of targets, one for each")
         pictures, given = _opened(target, values is not None), []
-        many = {"mask": [mask], "weights": [weights]}
-        if listed:
-            many = {k: one_a_view(k, v, target) for k, (v,) in many.items()}  # type: ignore[arg-type]
-        for i, (pixels, *pair) in enumerate(zip(pictures, *many.values(), strict=True)):
+        masks = one_a_view("mask", mask, target) if listed else [mask]  # type: ignore[arg-type]
+        others = one_a_view("weights", weights, target) if listed else [weights]  # type: ignore[arg-type]
+        for i, (pixels, one, other) in enumerate(zip(pictures, masks, others, strict=True)):
             of = f" of view {i}" if listed else ""
             size = pixels.shape[0], pixels.shape[1]
             made: Float32 | None = None
-            if any(one is not None for one in pair):
-                named = zip(many, pair, strict=True)
-                both = [read_weights(one, pixels, size, f"{name}{of}") for name, one in named]
-                made = joined(*both, f"mask times weights{of}")
+            if one is not None or other is not None:
+                first = read_weights(one, pixels, size, f"mask{of}")
+                second = read_weights(other, pixels, size, f"weights{of}")
+                made = joined(first, second, f"mask times weights{of}")
             given.append(made)
         hidden = [None if one is None else _hidden_by(one) for one in given]
         if values == AUTO:
@@ -360,8 +359,8 @@ class Views:
             first = images[0] if self.listed and isinstance(images, list | tuple) else images
             n = len(first) if hasattr(first, "__len__") else 0
         if not self.listed:
-            hidden, values, shape = self.views[0].hidden, self.values, self.target.shape
-            return as_batch(images, shape, n=n, on_clip=on_clip, hidden=hidden, values=values)
+            hidden, values, size = self.views[0].hidden, self.values, self.target.shape
+            return as_batch(images, size, n=n, on_clip=on_clip, hidden=hidden, values=values)
         if isinstance(images, np.ndarray) and images.shape == (n, *self.target.shape):
             return as_batch(images, self.target.shape, n=n, on_clip=on_clip)  # packed
         if not isinstance(images, list | tuple) or len(images) != len(self.views):
