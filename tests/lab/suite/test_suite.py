@@ -142,9 +142,8 @@ import numpy as np
 
 
 class Breaks:
-    def __init__(self, dim, target, only_black=True):
-        self.dim = dim
-        self.breaks = not only_black or target[0, 0].sum() < THRESHOLD
+    def __init__(self, dim, target):
+        self.dim, self.breaks = dim, target[0, 0].sum() < THRESHOLD
 
     def ask(self, n):
         return np.full((n, self.dim), 0.5)
@@ -182,19 +181,6 @@ def test_failed_runs_are_unsolved_and_open_ones_left_out(
     printed = capsys.readouterr()
     assert "2 of 110 problems" in printed.out
     assert "Left out, 1 problem: random (missing) on lamps-1." in printed.out
-
-
-def test_nothing_but_failures_is_exit_code_1(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "mine.py").write_text(BREAKS)
-    words = ["compare", "--suite", "image-fitting-v1", "--scenes", "lamps", "--budget", 40]
-    words += ["--targets", 1, "--optimizers", "mine.py:Breaks:only_black=false", "--out", "out"]
-    assert fide(*words) == fide("report", "out") == 1
-    err = capsys.readouterr().err
-    assert err.count("no run in out is finished, and 1 of 1 failed; error.txt in their direct") == 2
-    assert list(Path("out").rglob("error.txt")) and not Path("out/report.html").exists()
 
 
 @pytest.mark.parametrize(
