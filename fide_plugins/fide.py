@@ -628,7 +628,7 @@ class FIDE(Saved):
         best, known = self.best, self.state.moves.known
         found = [] if best is None else [best]
         for sample in (optimum.sample for optimum in known.optima.all):
-            distances = [known.exchangeability.distance(sample.x, one.x) for one in found]
+            distances = [known.exchangeability.distance(sample.x, one.x, APART) for one in found]
             if min(distances, default=np.inf) >= APART:
                 one = Solution(sample.x.copy(), sample.loss, sample.evaluation)
                 estimate = self.state.estimate_of(sample.x)

@@ -1,8 +1,6 @@
-"""Renders around the answer of a fit, from which its standard deviations are computed.
+"""Renders around the answer of a fit, two a number, which tell its standard deviations.
 
-Two renders a number, at either side, and one of the answer itself, which tells whether the renderer
-has noise: then nothing is said.  Where the image bends, or one side is known only, a nearer step
-tells a slope from a jump; where nothing changes the step grows.  No less than a jump is claimed.
+Where the image bends, or one side is known only, a nearer step tells a slope from a jump.
 """
 
 from __future__ import annotations

@@ -95,8 +95,8 @@ class Fitting:
             self._workers = WorkersAsked(workers, schedule)
             self._stopping = replace(stopping, schedule=schedule)
         self._pool, self._planner = workers, None
-        if stopping.seconds is not None and not self.record.evaluations:
-            self._planner = Planner(stopping.seconds, workers.number, optimizer.views.views)
+        if stopping.seconds is not None and schedule and not self.record.evaluations:
+            self._planner = Planner(stopping.seconds, workers.number)
 
     def execute(self) -> Result:
         """Fit until a rule says stop; raises what `fit` does, after saving what was computed."""
@@ -166,8 +166,6 @@ class Fitting:
             self._withdraw(X, outcome)
             return False
         self._render_seconds += outcome.seconds
-        if self._planner and not self._schedule and self._planner.note(outcome.seconds):
-            self._planner.show(self._report is not None)
         lost = self._is_lost
         try:
             loss = self._evaluate(X, as_told(self.optimizer, outcome.image))

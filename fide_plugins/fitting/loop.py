@@ -1,7 +1,6 @@
 """The loop of `fit` and of the runs of the lab: ask, render, tell, record, until a rule says stop.
 
-With one worker the candidate that is asked knows all that was rendered: the same seed gives the
-same fit, that of ``x = opt.ask(1); opt.tell(x, [render(x)])``.
+With one worker, the same seed gives the fit of ``x = opt.ask(1); opt.tell(x, [render(x)])``.
 """
 
 from __future__ import annotations

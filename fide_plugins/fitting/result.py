@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from fide_plugins.fide import FIDE
-    from fide_plugins.fitting.failures import Failure
+    from fide_plugins.fitting.rendering import Failed
     from fide_plugins.fitting.saved_run import Unsaved
     from fide_plugins.status import Status
     from fide_plugins.types import Float32, Float64, Indices, Solution
@@ -80,7 +80,7 @@ class Result:
     path: Float64
     evaluations: int
     failures: int
-    first_failure: Failure | None
+    first_failure: Failed | None
     seconds: float
     busy: float
     stopped: str
@@ -117,17 +117,31 @@ class Result:
         Raises FideError if `path` holds another run, or if the optimizer went on since; OSError.
         """
         if self.out is not None:
-            copy_run(self.out, Path(path))
+            to = Path(path)
+            if (to / "run.json").exists() or results_in(to):
+                raise RunDirectoryError(f"{to} holds a run already; name another directory")
+            to.mkdir(parents=True, exist_ok=True)
+            files = [file for file in self.out.iterdir() if is_of_a_run(file.name)]
+            for file in sorted(files, key=lambda file: file.name == "run.json"):  # it last
+                if file.is_file() and not file.is_symlink():
+                    shutil.copyfile(file, to / file.name)
         elif self.unsaved is not None:
             self.unsaved.write(path)
         else:
             raise FideError("this result has neither a run directory nor an optimizer")
 
+    @property
+    def facts(self) -> str:
+        """In one line: renders, seconds, why it ended, what failed."""
+        facts = f"{self.evaluations:,} renders in {self.seconds:.1f} s"
+        facts += f", as dear as {self.cost:,.0f} full ones" * (self.cost != self.evaluations)
+        facts += f", stopped: {self.stopped}"
+        facts += f", {self.failures:,} renders failed" * bool(self.failures)
+        facts += f", {self.clipped:,} images clipped" * bool(self.clipped)
+        rejected = f", {self.rejected or 0:.0%} of the candidates rejected by constraints"
+        return facts + rejected * bool(self.rejected)
+
     def __repr__(self) -> str:
-        failed = f", {self.failures:,} renders failed" if self.failures else ""
-        failed += f", {self.clipped:,} images clipped" if self.clipped else ""
-        if self.rejected:
-            failed += f", {self.rejected:.0%} of the candidates rejected by constraints"
         loss = "none" if self.best is None else f"{self.best.loss:.6g}"
         params = f"dim={self.path.shape[1]}"
         if isinstance(self.params, dict) and self.best is not None:
@@ -136,8 +150,7 @@ class Result:
             rough = f" ({ROUGH})" if is_rough(self.best) and "±" in text else ""
             params = cut(text, 400) + rough
         lines = [
-            f"Result(best loss {loss} after {self.evaluations:,} evaluations, "
-            f"{self.seconds:.1f} s{failed}; stopped: {self.stopped}",
+            f"Result(best loss {loss}; {self.facts}",
             f"params: {params}",
             f"solutions: {len(self.solutions)}",
             str(self.status),
@@ -159,12 +172,8 @@ class Result:
         )
         more = f"<p>... {len(table) - _MOST} more</p>" if len(table) > _MOST else ""
         more += f"<p>{ROUGH}</p>" if best is not None and is_rough(best) else ""
-        facts = f"{self.evaluations:,} renders in {self.seconds:.1f} s"
-        facts += f", as dear as {self.cost:,.0f} full ones" * (self.cost != self.evaluations)
-        facts += f", stopped: {self.stopped}"
-        facts += f", {self.failures:,} renders failed" if self.failures else ""
         return (
-            f"<div><p><b>{escape(str(self.status))}</b><br>{escape(facts)}</p>"
+            f"<div><p><b>{escape(str(self.status))}</b><br>{escape(self.facts)}</p>"
             '<div style="display:flex;flex-wrap:wrap;gap:8px;align-items:flex-end">'
             f"{''.join(map(_picture, self._panels()))}</div><table>{cells}</table>{more}</div>"
         )
@@ -260,16 +269,3 @@ def opened(
         return FIDE.load(file, encoder=encoder)
 
     return path, run, with_optimizer(path, load)
-
-
-def copy_run(source: Path, to: Path) -> None:
-    """Copy the files of a run into a folder without one.
-
-    Raises RunDirectoryError (a FileExistsError) if there is one; OSError.
-    """
-    if (to / "run.json").exists() or results_in(to):
-        raise RunDirectoryError(f"{to} holds a run already; name another directory")
-    to.mkdir(parents=True, exist_ok=True)
-    for file in sorted(source.iterdir(), key=lambda file: file.name == "run.json"):  # it last
-        if is_of_a_run(file.name) and file.is_file() and not file.is_symlink():
-            shutil.copyfile(file, to / file.name)

@@ -1,8 +1,6 @@
-"""What a fit asks its renderer for next, and when renders become finer.
+"""What a fit asks its renderer for next: samples and size of pictures, and when both rise.
 
-Noise is too strong where it decides the ranks of candidates: where the standard deviation of a loss
-between two renders exceeds half of the spread of a generation's losses.  Pictures are too small
-once the loss is a fraction of the first candidates', and the search narrow or without progress.
+Samples rise where noise decides ranks, sizes where the search sees no more at the present one.
 """
 
 from __future__ import annotations

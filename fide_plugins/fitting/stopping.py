@@ -1,7 +1,6 @@
 """When a fit is over; it goes on with ``resume=True`` and a larger number.
 
-`until="solved"`: what is left is nothing that an eye sees, or noise of the target as far as the
-search can tell; "stalled": the same, or nothing more is to be expected; "budget": none of these.
+`until`: "solved", or only noise of the target is left; "stalled": or no progress; "budget".
 """
 
 from __future__ import annotations

@@ -1,13 +1,9 @@
-"""Schemas: types, ranges and shapes of a state that was read from a file.
+"""Schemas: types, ranges and shapes of a state that was read from a file, by name of each side.
 
-A checkpoint with a valid checksum may still hold anything, since anybody can write one.  A *schema*
-is a nested dict like the state, with a rule at each leaf.  Sides of arrays have names, and a name
-stands for the same number wherever it appears.
-
-    >>> check({"x": np.zeros((3, 2)), "n": 3}, {"x": array("n", "d"), "n": whole()}, {"d": 2})
-    >>> check({"x": np.zeros((3, 2)), "n": 3}, {"x": array("n", "n"), "n": whole()}, {})
-    Traceback (most recent call last):
-    ValueError: state['x'] has the shape (3, 2), and n is 3
+>>> check({"x": np.zeros((3, 2)), "n": 3}, {"x": array("n", "d"), "n": whole()}, {"d": 2})
+>>> check({"x": np.zeros((3, 2)), "n": 3}, {"x": array("n", "n"), "n": whole()}, {})
+Traceback (most recent call last):
+ValueError: state['x'] has the shape (3, 2), and n is 3
 """
 
 from __future__ import annotations

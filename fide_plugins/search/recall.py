@@ -108,6 +108,6 @@ def _hypotheses(x: Float64, distances: Float64, known: Known) -> Float64:
     for row in x[near[1:]]:
         if len(found) == _HYPOTHESES:
             break
-        if min(known.exchangeability.distance(row, one) for one in found) >= APART:
+        if min(known.exchangeability.distance(row, one, APART) for one in found) >= APART:
             found.append(row)
     return np.array(found)

@@ -121,15 +121,19 @@ class Exchangeability(Stateful):
         used = [] if self.blocks is None else self.blocks.ravel().tolist()
         return np.setdiff1d(np.arange(self.dim), np.array(used, np.intp))
 
-    def distance(self, x: Float64, y: Float64) -> float:
+    def distance(self, x: Float64, y: Float64, enough: float = np.inf) -> float:
         """Largest difference of a parameter of x and y, (d,) each, blocks in the best order.
 
-        That is the order with the least sum of the blocks' largest differences.
+        That is the order with the least sum of the blocks' largest differences.  Where it is seen
+        at once that the distance is `enough`, less than all of it may be returned.
         """
         difference = self._axes.difference(x, y)
         if self.blocks is None:
             return float(difference.max())
         costs = self._costs(x, y)
+        least = float(costs.min(axis=1).max())
+        if least >= enough:
+            return least
         matched = costs[_matched(costs)].max()
         return float(max(matched, difference[self.leftovers].max(initial=0.0)))
 
@@ -246,7 +250,10 @@ class Exchangeability(Stateful):
 
 def _matched(costs: Float64) -> tuple[Indices, Indices]:
     """Rows and columns of the assignment with the least sum of costs (n, n)."""
-    from scipy.optimize import linear_sum_assignment  # most scenes have no blocks
+    nearest = costs.argmin(axis=1)
+    if len(np.unique(nearest)) == len(costs):  # of each the nearest, which no other has
+        return np.arange(len(costs)), nearest
+    from scipy.optimize import linear_sum_assignment  # takes a tenth of a second
 
     return linear_sum_assignment(costs)  # type: ignore[no-any-return]
 
@@ -473,7 +480,8 @@ class Sensitivity(Stateful):
 
 # -- local optima ----------------------------------------------------------------------------------
 
-Distance: TypeAlias = Callable[[Float64, Float64], float]
+Distance: TypeAlias = Callable[..., float]
+"""Of two points (d,), as `Exchangeability.distance`."""
 
 _MOST = 12  # optima that are remembered
 APART = 0.05  # of the unit cube, in some parameter, that makes two optima distinct
@@ -525,7 +533,7 @@ class Optima:
         best = not self.all or found.loss < self.all[0].sample.loss
         if best:
             self._descents = 0
-        close = [o for o in self.all if distance(o.sample.x, found.x) < APART]
+        close = [o for o in self.all if distance(o.sample.x, found.x, APART) < APART]
         searches = int(began_apart) + sum(optimum.searches for optimum in close)
         if close and close[0].sample.loss <= found.loss:
             close[0].searches += int(began_apart)

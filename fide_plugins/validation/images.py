@@ -1,20 +1,7 @@
-"""Converts and validates targets and renders.
+"""Converts targets and renders to C-contiguous float32 (H, W, 3) or (n, H, W, 3) in [0, 1].
 
-Inside the library all images are *canonical*: C-contiguous float32 NumPy arrays with values in
-[0, 1], `(H, W, 3)` for a target and `(n, H, W, 3)` for a batch.  The rules for all others:
-
-- values: uint8 [0, 255] and bool are scaled to [0, 1]; floats keep their values; other types are
-  refused, since their scale is unknown.  With a value range, [low, high] takes the place of [0, 1],
-  and all types are numbers as they are; alpha is a share still;
-- channels: none or 1, gray, repeated; 3, RGB; 4, RGBA, composited over white (a mask over black);
-- axes: channels last.  In a torch tensor channels may come first: if the first axis has 1, 3 or 4
-  entries and the other two fit the required size, if there is one;
-- outside [0, 1]: refused in a target; clipped in a batch, with a warning, unless it is rounding (up
-  to 1e-6).  Renders on another scale than the target are refused, see `values`;
-- NaN and infinity are refused;
-- hidden pixels, where a mask has zeros: NaN becomes 0, other values are clipped;
-- files, PIL images: turned upright (EXIF), palettes expanded, 16 bits divided by 65535, grays of 32
-  bits refused; of several frames the first, with a warning; at most `MAX_PIXELS` pixels.
+uint8, bool, floats; gray is repeated, RGBA put over white (a mask over black); channels last, or
+first in tensors.  Targets beyond [0, 1] and NaN are refused, renders clipped, see `values`.
 """
 
 from __future__ import annotations
@@ -50,9 +37,6 @@ Size: TypeAlias = tuple[int, int]  # (H, W)
 
 CHANNELS = (1, 3, 4)  # gray, RGB, RGBA
 _VIEWS = "of several pictures make views: list(image), and let render return such a list"
-
-
-# -- public ----------------------------------------------------------------------------------------
 
 
 def as_target(
@@ -187,9 +171,6 @@ def save(path: str | os.PathLike[str], image: Float32) -> None:
     from fide_plugins.validation.image_files import encoded
 
     Path(path).write_bytes(encoded(image, Path(path).suffix))
-
-
-# -- steps: to an array, channels last, unit range, three channels ---------------------------------
 
 
 def _list_as_batch(

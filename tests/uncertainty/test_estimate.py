@@ -14,7 +14,7 @@ from fide_plugins.population import TrainingSample
 from fide_plugins.search.mixed import Axes
 from fide_plugins.space import Choice, Float, Int, Space
 from fide_plugins.types import Float32, Float64
-from fide_plugins.uncertainty import LocalEstimate, estimate
+from fide_plugins.uncertainty import LocalEstimate
 from fide_plugins.uncertainty.local_fit import (
     WIDER,
     FitToTarget,
@@ -170,21 +170,6 @@ def test_what_the_picture_does_not_show_is_open_and_the_rest_is_not() -> None:
     assert np.delete(stds, 3, axis=1).max() < 0.05
 
 
-def test_it_is_computed_when_it_is_read_and_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    calls: list[int] = []
-
-    def fit(u: Float64, e: Float64, distances: Float64) -> LocalFit:
-        calls.append(1)
-        return fit_locally(u, e, distances)
-
-    monkeypatch.setattr(estimate, "fit_locally", fit)
-    opt = run(200)
-    best, found = opt.best, opt.solutions()
-    assert best is not None and found and not calls
-    first = best.std
-    assert first is not None and best.std is first and len(calls) == 1
-
-
 def test_saved_and_pickled_it_is_the_same(tmp_path: Path) -> None:
     opt = run(250)
     opt.save(tmp_path / "opt")
@@ -272,12 +257,6 @@ def test_a_parameter_that_never_moved_is_open() -> None:
     opt.tell(X, render(X))
     assert opt.best is not None and opt.best.std is not None
     assert opt.best.std[1] == pytest.approx(12**-0.5)
-
-
-def test_a_solution_keeps_no_samples_once_it_was_read() -> None:
-    best = run(200).best
-    assert best is not None and best.std is not None
-    assert isinstance(best.estimate, LocalEstimate) and not best.estimate.samples
 
 
 @pytest.mark.thorough
