@@ -314,14 +314,7 @@ def learn(
     OSError
         a file cannot be read or written.
     """
-    whole_number("renders", renders, FEWEST)
-    if not 16 <= whole_number("size", size, 1) <= 256:
-        raise OptionError(f"size is 16 to 256 pixels, not {size}")
-    whole_number("passes", passes, 1)
-    whole_number("workers", workers, 0)
-    check_installed(one_of(*AUGMENT)("augment", augment))
-    if not (on_progress is None or callable(on_progress)):
-        raise OptionError(f"on_progress must be a function of a LearnProgress, not {on_progress!r}")
+    _check(renders, size, passes, workers, augment, on_progress)
     seed, seconds = torch_seed(seed), None if time is None else seconds_of("time", time)
     trains_on = resolve_device(device)
     renderer = as_renderer(render, space)
@@ -332,12 +325,7 @@ def learn(
     _ = renderer.version  # raises for one that is no text
     shape, coverage = renderer.first_shape()
     if composed is not None and not coverage:
-        if backgrounds is not None:
-            raise OptionError(
-                "backgrounds need renders that say what they draw: return RGBA (H, W, 4), or the "
-                "image and its coverage (H, W) in [0, 1]; or give clutter=True without backgrounds"
-            )
-        composed = replace(composed, backgrounds=(), name="clutter without backgrounds")
+        composed = _without_coverage(composed, backgrounds)
     renderer = replace(renderer, shape=shape, coverage=composed is not None and coverage)
     if composed is not None and composed.changes:  # by more
         augment = "none"
@@ -353,3 +341,27 @@ def learn(
     if out is not None:
         model.save(out)
     return model
+
+
+def _without_coverage(clutter: Clutter, backgrounds: object) -> Clutter:
+    """The same without backgrounds; raises OptionError where backgrounds were asked for."""
+    if backgrounds is not None:
+        raise OptionError(
+            "backgrounds need renders that say what they draw: return RGBA (H, W, 4), or the image "
+            "and its coverage (H, W) in [0, 1]; or give clutter=True without backgrounds"
+        )
+    return replace(clutter, backgrounds=(), name="clutter without backgrounds")
+
+
+def _check(
+    renders: object, size: object, passes: object, workers: object, augment: object,
+    on_progress: object,
+) -> None:  # fmt: skip
+    whole_number("renders", renders, FEWEST)
+    if not 16 <= whole_number("size", size, 1) <= 256:
+        raise OptionError(f"size is 16 to 256 pixels, not {size}")
+    whole_number("passes", passes, 1)
+    whole_number("workers", workers, 0)
+    check_installed(one_of(*AUGMENT)("augment", augment))
+    if not (on_progress is None or callable(on_progress)):
+        raise OptionError(f"on_progress must be a function of a LearnProgress, not {on_progress!r}")
