@@ -65,15 +65,17 @@ def one_a_view(name: str, given: object, targets: Sequence[object]) -> list[obje
     Raises ImageError for another number of them, or a single one where the sizes differ.
     """
     k = len(targets)
+    if given is None or (isinstance(given, str) and given == ALPHA):
+        return [given] * k
     if isinstance(given, list | tuple):
-        got = f"{len(given)} of them"
         if len(given) == k:
             return list(given)
+        got = f"{len(given)} of them"
     else:
-        got = "a single one, which needs views of one size"
-        plain = given is None or (isinstance(given, str) and given == ALPHA)
-        if plain or len({picture.shape[:2] for picture in _opened(targets, raw=True)}) == 1:
+        shapes = [picture.shape for picture in _opened(targets, raw=True)]
+        if len({shape[:2] for shape in shapes}) == 1:
             return [given] * k
+        got = f"a single one, which needs views of one size, not {_sizes_of(shapes)}"
     raise ImageError(
         f"{name} must be a list with one entry for each of the {k} views, None for a view "
         f"without; got {got}"
