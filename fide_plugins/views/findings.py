@@ -82,7 +82,8 @@ class SameImages:
             warn_user(
                 f"all images of the first {self.number} candidates are equal: no parameter has "
                 "changed the image so far; does render use its parameters, and do their ranges "
-                "change what is seen? (Elsewhere in the box images may differ.)"
+                "change what is seen? (These candidates lie around the start of the search: "
+                "elsewhere in the box images may differ.)"
             )
 
 
