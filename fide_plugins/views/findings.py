@@ -179,7 +179,7 @@ class PixelNoise:
             return None
         asked = (image, target, self.variance)
         if list(map(id, self._last[0])) != list(map(id, asked)):  # `_last` keeps them alive
-            self._last = asked, self._left(image, target, self.variance)
+            self._last = asked, self._left(*asked)
         return self._last[1]
 
     def _left(self, image: Float32, target: Float32, variance: float) -> float | None:
