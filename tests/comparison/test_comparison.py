@@ -293,7 +293,8 @@ def test_fit_takes_images_with_coverage_and_says_what_is_left() -> None:
     assert abs(result.best.x - TRUE).max() < 0.05
     assert result.residual.shape == (SIZE, SIZE)
     assert result.best.photometric is not None
-    assert result.optimizer.best.loss == result.best.loss <= result.losses[-1]
+    best = result.optimizer.best
+    assert best is not None and best.loss == result.best.loss <= result.losses[-1]
 
 
 LIGHT = np.full((SIZE, SIZE, 3), 0.1, np.float32)

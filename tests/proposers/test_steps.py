@@ -30,8 +30,8 @@ UNLIKE = TARGET + torch.as_tensor(np.random.default_rng(2).standard_normal((T, C
 """What no parameters make: a linear model explains little of it."""
 
 
-def taught(n: int = 12, **options: float) -> GaussNewtonSteps:
-    steps = GaussNewtonSteps(D, minimum=5, **options)
+def taught(n: int = 12, least_promise: float = 0.25) -> GaussNewtonSteps:
+    steps = GaussNewtonSteps(D, minimum=5, least_promise=least_promise)
     for i, x in enumerate(np.random.default_rng(0).normal(MEAN, STD, (n, D))):
         loss = float(np.square(x - TRUTH).sum())
         steps.add(TrainingSample(i, x, image_of(x), loss, i))
