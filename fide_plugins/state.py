@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from fide_plugins.comparison.scale_space import NEXT, ScaleSpace
+from fide_plugins.comparison.scale_space import BLURS, NEXT, ScaleSpace
 from fide_plugins.population import Candidate, CandidateRole, Population
 from fide_plugins.population.candidate import Best, Memory, TrainingSample, columns, in_order
 from fide_plugins.proposers import Proposer
@@ -212,15 +212,17 @@ class State:
         if self.steps is not None:
             self.steps.after_generation()
 
-    def is_over(self, *, guided: bool) -> bool:
+    def is_over(self, *, guided: bool, floor: float = 0.0) -> bool:
         """Whether the present search is over; guided: whether images guide it.
+
+        floor: loss that no candidate removes.
 
         A coarse one is, too, where it is as narrow as its blur.
         """
         if self.scales.blur:
             reach = self.scales.reach
             return self.search.is_over(guided=True) or bool((self.search.std < reach).all())
-        return self.search.is_over(guided=guided or self.scales.asked)
+        return self.search.is_over(guided=guided or self.scales.asked, floor=floor)
 
     def finish_search(self, *, guided: bool) -> None:
         """Go on elsewhere; what the best of all searches found is kept.
@@ -255,7 +257,7 @@ class State:
         self.moves.learn(own, members[int(np.argmin(losses))].x, target)
         if descending:
             self.injected = None  # its loss is of this blur
-            self.scales.begin_at(0.0)
+            self.scales.begin_at(BLURS[-1] if self.moves.begins_soft else 0.0)
         self._go_on()
 
     def _go_on(self) -> None:

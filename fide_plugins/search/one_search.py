@@ -91,22 +91,23 @@ class Termination:
         strict = round(_STRICT_PATIENCE * self.patience)
         del self.history[: -1 - max(strict, self.loss_only_patience, _BENEFIT_OF_DOUBT)]
 
-    def is_over(self, std: Float64, *, guided: bool = True) -> bool:
+    def is_over(self, std: Float64, *, guided: bool = True, floor: float = 0.0) -> bool:
         """Whether to begin another search; guided: whether images guide it.
 
-        std: (d,), of the search distribution.
+        std: (d,), of the search distribution.  floor: loss that no candidate removes.
         """
         if not guided:
             converged = bool((std < _CONVERGED * self.sigma0).all())
             return converged or has_stalled(self.history, self.loss_only_patience, 0.0)
         narrowest = _TO_THE_END if self.to_the_end else _COLLAPSED
+        above = [loss - floor for loss in self.history]
         strict = bool(self.history and self.history[-1] > self.strict_above)
         progress = self.patience, self.improvement
         if strict:
             progress = round(_STRICT_PATIENCE * self.patience), _STRICT_IMPROVEMENT
         return (
             bool((std < narrowest * self.sigma0).all())
-            or has_stalled(self.history, *progress)
+            or has_stalled(above, *progress)
             or is_hopeless(self.history, self.goal)
         )
 
@@ -277,9 +278,12 @@ class Search(Stateful):
         self._mixed.correct(self.distribution)
         self.distribution.mean = self._with_fixed(self.distribution.mean)
 
-    def is_over(self, *, guided: bool) -> bool:
-        """Whether to begin another search; guided: whether images guide it."""
-        return self.termination.is_over(self.distribution.std, guided=guided)
+    def is_over(self, *, guided: bool, floor: float = 0.0) -> bool:
+        """Whether to begin another search; guided: whether images guide it.
+
+        floor: loss that no candidate removes.
+        """
+        return self.termination.is_over(self.distribution.std, guided=guided, floor=floor)
 
     def _sides(self) -> Sides:
         return {"popsize": self.popsize, "d": len(self.mean), "axes": len(self._mixed.A)}
