@@ -61,6 +61,10 @@ OPTIMIZERS = (
     "fide", "cma", "cma:popsize=50", "eki", "dual-annealing:step=0.001", "zerograds",
     "dfols",
 )  # fmt: skip
+IN_PICTURE = {
+    "fide": "FIDE", "cma": "CMA-ES", "cma:popsize=50": "CMA-ES, 50 a generation", "eki": "EKI",
+    "dual-annealing:step=0.001": "dual annealing", "zerograds": "ZeroGrads", "dfols": "DFO-LS",
+}  # fmt: skip
 CHEAP = ("voronoi", "spline", "robot", "lamps", "sprites", "arm", "lens", "stick_figure")
 """Scenes with renders of a few milliseconds."""
 
@@ -252,7 +256,10 @@ def show(found: Scores, rows: Sequence[Row], arguments: argparse.Namespace) -> N
     rows: among which are those of `found`.
     """
     if arguments.picture:
-        arguments.picture.write_bytes(plots.png(data_profile_figure(found, found.labels)))
+        figure = data_profile_figure(found, [IN_PICTURE.get(one, one) for one in found.labels])
+        for text in figure.legends[0].get_texts():
+            text.set_fontsize(10)
+        arguments.picture.write_bytes(plots.png(figure))
     elif arguments.page:
         runs = longest(rows, found.labels, found.budgets[-1]).values()
         used = [row for row in runs if row["problem"] in found.problems]

@@ -19,6 +19,7 @@ from typing import Any
 BROWSERS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
 PHONE = {"width": 390, "height": 844}  # pixels
 SCREEN = {"width": 1280, "height": 900}
+VIEWS = ("light", SCREEN), ("light", PHONE), ("dark", PHONE)
 CONTRAST = 4.5  # of text and background at least, as WCAG 2 asks (level AA)
 FILM_WAIT = 30_000  # ms until a film must have shown another frame; it changes ten times a second
 SEARCH_WAIT = 60_000  # ms until a search must have shown its results
@@ -28,13 +29,12 @@ SEARCHES = {
 }  # fmt: skip
 """Words that a reader may type, and a page that must be among the results."""
 
-_WIDTHS = "[document.documentElement.scrollWidth, window.innerWidth]"
 _EMPTY_PICTURES = """async () => {
     const pictures = [...document.images];
     await Promise.all(pictures.map(one => one.decode().catch(() => null)));
     return pictures.filter(one => one.naturalWidth === 0).map(one => one.getAttribute("src"));
 }"""
-_CONTRAST = """() => {
+_LOOKS = """() => {
     const lightness = color => {
         const [r, g, b] = color.match(/[0-9.]+/g).slice(0, 3).map(Number).map(c => c / 255)
             .map(c => c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4);
@@ -49,7 +49,7 @@ _CONTRAST = """() => {
     const ground = isClear(color) ? 1 : lightness(color);
     const front = lightness(getComputedStyle(text).color);
     const ratio = (Math.max(ground, front) + 0.05) / (Math.min(ground, front) + 0.05);
-    return [ratio, ground];
+    return [document.documentElement.scrollWidth, window.innerWidth, ratio, ground];
 }"""
 
 
@@ -63,29 +63,31 @@ def pages_of(site: Path) -> list[Path]:
     return [file for file in sorted(site.rglob("*.html")) if "_static" not in file.parts]
 
 
-def read(browser: Any, site: Path, scheme: str, viewport: dict[str, int]) -> Iterator[str]:
-    """What is wrong with the pages in this scheme and at this width."""
-    context = browser.new_context(viewport=viewport, color_scheme=scheme)
-    page = context.new_page()
+def read(browser: Any, site: Path) -> Iterator[str]:
+    """What is wrong with the pages: each is loaded once, and seen in all `VIEWS`."""
+    page = browser.new_page()
     troubles: list[str] = []
     page.on("console", lambda message: message.type == "error" and troubles.append(message.text))
     page.on("pageerror", lambda error: troubles.append(str(error)))
     for file in pages_of(site):
-        where = f"{file.relative_to(site)} ({scheme}, {viewport['width']} px)"
+        name = file.relative_to(site)
         page.goto(file.as_uri())
         empty = page.evaluate(_EMPTY_PICTURES)  # before the width, which pictures change
-        width, inner = page.evaluate(_WIDTHS)
-        if width > inner:
-            yield f"{where}: {width} px wide"
-        yield from (f"{where}: the picture {source} does not load" for source in empty)
-        contrast, ground = page.evaluate(_CONTRAST)
-        if contrast < CONTRAST:
-            yield f"{where}: contrast of text {contrast:.1f}, less than {CONTRAST}"
-        if (ground < 0.2) != (scheme == "dark"):
-            yield f"{where}: the background is {'dark' if ground < 0.2 else 'light'}"
-        yield from (f"{where}: {trouble}" for trouble in troubles)
+        yield from (f"{name}: the picture {source} does not load" for source in empty)
+        for scheme, viewport in VIEWS:
+            page.emulate_media(color_scheme=scheme)
+            page.set_viewport_size(viewport)
+            where = f"{name} ({scheme}, {viewport['width']} px)"
+            width, inner, contrast, ground = page.evaluate(_LOOKS)
+            if width > inner:
+                yield f"{where}: {width} px wide"
+            if contrast < CONTRAST:
+                yield f"{where}: contrast of text {contrast:.1f}, less than {CONTRAST}"
+            if (ground < 0.2) != (scheme == "dark"):
+                yield f"{where}: the background is {'dark' if ground < 0.2 else 'light'}"
+        yield from (f"{name}: {trouble}" for trouble in troubles)
         troubles.clear()
-    context.close()
+    page.close()
 
 
 def searched(
@@ -128,9 +130,7 @@ def films(browser: Any, site: Path, wait: int = FILM_WAIT) -> Iterator[str]:
 def wrong(browser: Any, site: Path) -> list[str]:
     """All that is wrong."""
     return [
-        *read(browser, site, "light", SCREEN),
-        *read(browser, site, "dark", PHONE),
-        *read(browser, site, "light", PHONE),
+        *read(browser, site),
         *searched(browser, site, SEARCHES),
         *films(browser, site),
     ]

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from fide_plugins import Float, Space, fit
 from fide_plugins.errors import DependencyError
-from fide_plugins.fitting.callbacks import Event, Run
+from fide_plugins.fitting.callbacks import Event
 from fide_plugins.fitting.result import Result
 
+BUDGET, SEED = 300, 0
 yy, xx = np.mgrid[0:48, 0:48] / 47
 space = Space(x=Float(0, 1), y=Float(0, 1), radius=Float(0.1, 0.4))
 
@@ -41,17 +42,14 @@ class MLflow:
     def __init__(self, folder: Path) -> None:
         self.mlflow: Any = import_module("mlflow")
         self.mlflow.set_tracking_uri(f"sqlite:///{folder / 'mlflow.db'}")
-
-    def on_start(self, run: Run) -> None:
         self.mlflow.start_run(run_name="disk")
-        self.mlflow.log_params({"budget": run.budget, "seed": run.optimizer.seed})
+        self.mlflow.log_params({"budget": BUDGET, "seed": SEED})
 
     def on_evaluation(self, event: Event) -> None:
         metrics = {"loss": event.loss, "best_loss": event.best_loss}
         self.mlflow.log_metrics(metrics, step=event.evaluation + 1)
-
-    def on_improvement(self, event: Event) -> None:
-        self.mlflow.log_metrics(event.params or {}, step=event.evaluation + 1)
+        if event.loss == event.best_loss:
+            self.mlflow.log_metrics(event.params or {}, step=event.evaluation + 1)
 
     def on_end(self, result: Result) -> None:
         self.mlflow.log_dict(result.params, "params.json")
@@ -64,11 +62,8 @@ class WeightsAndBiases:
     def __init__(self, folder: Path) -> None:
         os.environ.setdefault("WANDB_SILENT", "true")
         self.wandb: Any = import_module("wandb")
-        self.folder = folder
-
-    def on_start(self, run: Run) -> None:
-        config = {"budget": run.budget, "seed": run.optimizer.seed}
-        self.run = self.wandb.init(project="disk", mode="offline", dir=self.folder, config=config)
+        config = {"budget": BUDGET, "seed": SEED}
+        self.run = self.wandb.init(project="disk", mode="offline", dir=folder, config=config)
 
     def on_evaluation(self, event: Event) -> None:
         self.run.log({"loss": event.loss, "best_loss": event.best_loss}, commit=False)
@@ -91,7 +86,7 @@ def main() -> None:
         except (ImportError, DependencyError) as error:
             print(f"without {make.__name__}: {error}")
     target = render({"x": 0.7, "y": 0.35, "radius": 0.25})
-    print(fit(render, target, space, budget=300, workers=0, seed=0, callbacks=callbacks))
+    print(fit(render, target, space, budget=BUDGET, workers=0, seed=SEED, callbacks=callbacks))
     print(f"look into {folder}")
 
 

@@ -10,14 +10,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fide_plugins.population.candidate import Memory
+from fide_plugins.population import Memory
 from fide_plugins.search.moves import Start
 from fide_plugins.types import Float64
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
-
-__all__ = ["adapt_light", "compare_again", "compare_finer", "compare_first_at"]
 
 _NARROWEST = 1 / 3  # of the first standard deviation, with which a search begins again
 

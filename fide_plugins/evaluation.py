@@ -11,20 +11,28 @@ from typing import Any, TypeAlias
 import numpy as np
 import torch
 
-from fide_plugins import encoders
+from fide_plugins import encoders, losses as named_losses
 from fide_plugins.comparison.comparison import Comparison, checked
 from fide_plugins.comparison.coverage import with_coverage, without_coverage
 from fide_plugins.encoders.base import PatchEncoder, as_features
-from fide_plugins.encoders.own import OwnEncoder
-from fide_plugins.errors import CheckpointError, FeaturesError, LossError
-from fide_plugins.losses.base import as_losses
+from fide_plugins.encoders.own import OwnEncoder, check_encoder
+from fide_plugins.errors import CheckpointError, FeaturesError, LossError, OptionError
+from fide_plugins.losses.base import (
+    CallableLoss,
+    ImageLoss,
+    LossOfTarget,
+    as_losses,
+    check_loss,
+    loss_not_stored,
+)
 from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.devices import resolve_device
+from fide_plugins.runtime.registry import name_of
 from fide_plugins.runtime.schema import anything, check
+from fide_plugins.runtime.threads import user_threads
 from fide_plugins.types import Float32, Float64
-from fide_plugins.validation.pixels import Clipping, OnClip
-from fide_plugins.views import Views
-from fide_plugins.views.compared import encoder_of, loss_of
+from fide_plugins.validation.values import Clipping, OnClip, warn_clipped
+from fide_plugins.views import View, Views
 
 Result: TypeAlias = tuple[Float64, float, Float32 | None, torch.Tensor | None, float]
 """x (d,), loss, image (H, W, 3), tokens (T, C) of one candidate, and what the search is told."""
@@ -107,6 +115,7 @@ class Evaluator:
             encoder = OwnEncoder(encoder, device=resolve_device(device, for_network=for_network))
         self.encoder = encoder_of(self.views, encoder)
         self._how: dict[str, Any] = {}
+        self._blurred: dict[float, torch.Tensor] = {}  # tokens of the target, by the blur
         self._photo, self._auto = photo, photometric == "auto" or (photo and photometric is None)
         self.comparison: Comparison | None = None
         if photo or not (photometric is None and robust is None and background is None):
@@ -120,7 +129,7 @@ class Evaluator:
 
     def _compared_by(self, **how: Any) -> Comparison:
         """A comparison with the present views and loss."""
-        name = self.loss_name
+        name = self.loss.spec
         loss_at = None if name is None else partial(loss_of, loss=name, device=self._device)
         return Comparison(self.views, self.loss, loss_at, **how)
 
@@ -136,8 +145,8 @@ class Evaluator:
 
     def _copy(self) -> Evaluator:
         other = copy.copy(self)
-        for cached in ("_compared", "_blurred"):
-            other.__dict__.pop(cached, None)
+        other.__dict__.pop("_compared", None)
+        other._blurred = {}
         return other
 
     def comparing(self, state: Mapping[str, Any] | None) -> Evaluator:
@@ -146,7 +155,7 @@ class Evaluator:
             return self
         other = self._copy()
         other.comparison = other._compared_by(**{**self._how, **checked(state)})
-        other.target_tokens = other.encoder.compute(other.comparison.target()[None])[0]
+        other.target_tokens = other.encoder.compute(other.comparison.at().views.target[None])[0]
         return other
 
     def adjusted(self, images: object) -> Any:
@@ -195,12 +204,12 @@ class Evaluator:
         Raises ImageError, LossError or UnknownNameError.
         """
         views = self.views.retargeted(target)
-        if loss is None and self.loss_name is None:
+        if loss is None and self.loss.spec is None:
             raise LossError(
                 f"the loss {self.loss.name!r} was given as an object, which may be for the old "
                 "target only; give the one for the new target: retarget(picture, loss=...)"
             )
-        return self._with(views, loss or self.loss_name)
+        return self._with(views, loss or self.loss.spec)
 
     def at_size(self, size: tuple[int, int] | None) -> Evaluator:
         """The same for renders of (h, w) pixels, of a named loss; None: of the target's size.
@@ -209,7 +218,7 @@ class Evaluator:
 
         Raises LossError for a user's own loss, which knows the target's size only.
         """
-        if self.loss_name is None:
+        if self.loss.spec is None:
             raise LossError(
                 f"renders smaller than the target need a named loss, not the object "
                 f"{self.loss.name!r}"
@@ -220,7 +229,7 @@ class Evaluator:
 
             small = reduced(views, size)
             views = seen_at(views, small)
-        other = self._with(views, self.loss_name)
+        other = self._with(views, self.loss.spec)
         other.full, other.size, other._small = self.full, size, small
         return other
 
@@ -233,20 +242,15 @@ class Evaluator:
         if self.comparison is not None:
             options = {**self.comparison.options, "camera": 0.0}  # of other pixels
             other.comparison = other._compared_by(**options)
-        shown = other.target if other.comparison is None else other.comparison.target()
+        shown = other.target if other.comparison is None else other.comparison.at().views.target
         other.target_tokens = other.encoder.compute(shown[None])[0]  # (T, C)
         return other
-
-    @property
-    def loss_name(self) -> str | None:
-        """Name by which the loss can be made again; None for a user's own."""
-        return self.loss.spec
 
     @property
     def versions(self) -> dict[str, str | None]:
         """Of encoder and loss: they change whenever features or losses of an image do."""
         encoder, loss = self.encoder.version, self.loss.version
-        return {"encoder": encoder, "loss": loss, "loss_name": self.loss_name}
+        return {"encoder": encoder, "loss": loss, "loss_name": self.loss.spec}
 
     def check_versions(self, saved: Mapping[str, object]) -> None:
         """Raise CheckpointError unless saved features and losses are of the present versions."""
@@ -283,10 +287,11 @@ class Evaluator:
 
     def colors(self, images: object, n: int, on_clip: OnClip) -> Float32:
         """The same without coverage; raises ImageError."""
-        plain = without_coverage(images, self.views.listed)
+        if isinstance(images, list | tuple):
+            images = without_coverage(images, self.views.listed)
         if self._small is None:
-            return self.views.as_batch(plain, n, on_clip)
-        return self._enlarged(self._small.as_batch(plain, n, on_clip))
+            return self.views.as_batch(images, n, on_clip)
+        return self._enlarged(self._small.as_batch(images, n, on_clip))
 
     def _enlarged(self, batch: Float32) -> Float32:
         from fide_plugins.views.sizes import enlarged
@@ -352,7 +357,7 @@ class Evaluator:
         if not blur:
             return self.target_tokens
         if blur not in self._blurred:
-            shown = self._compared.target(blur)
+            shown = self._compared.at(blur).views.target
             self._blurred[blur] = self.encoder.compute(shown[None])[0]
         return self._blurred[blur]
 
@@ -361,6 +366,158 @@ class Evaluator:
         """A comparison, also where renders are compared as they are."""
         return self._compared_by() if self.comparison is None else self.comparison
 
-    @cached_property
-    def _blurred(self) -> dict[float, torch.Tensor]:
-        return {}
+
+# -- loss and encoder of several views, or of the pixels that count --------------------------------
+
+
+def loss_of(
+    views: Views,
+    loss: str | Callable[..., object] | None,
+    *,
+    device: str | torch.device | None = None,
+) -> ImageLoss:
+    """Loss from a name, None for "mse", a callable, or a loss of one view that was made.
+
+    A user's own is tried on the target first.  Raises as `losses.resolve`, and LossError for a made
+    loss where there are several views.
+    """
+    if isinstance(loss, LossOfViews):
+        return loss
+    if views.plain:
+        made = named_losses.resolve(loss, views.target, device=device)
+        if isinstance(made, CallableLoss) and made is not loss and loss is not loss_not_stored:
+            check_loss(made, views.target)
+        return made
+    if loss is None or isinstance(loss, str):
+        name = loss or "mse"
+        return LossOfViews(views, [_of_view(name, view, device) for view in views.views], name)
+    if isinstance(loss, LossOfTarget | CallableLoss):
+        if views.listed:
+            raise LossError(
+                f"the loss {loss.name!r} was made for one target, and there are "
+                f"{len(views.views)} views; pass its name, or a function of a list of batches"
+            )
+        made = named_losses.resolve(loss, views.target)
+        spec = made.spec
+        if spec is not None:  # as a checkpoint makes it again
+            made = _of_view(spec, views.views[0], device)
+        return LossOfViews(views, [made], spec)
+    if not callable(loss):
+        return named_losses.resolve(loss, views.target)  # raises
+    several = CallableOfViews(views, loss)
+    if loss is not loss_not_stored:
+        check_loss(several, views.target)
+    return several
+
+
+def _of_view(name: str, view: View, device: str | torch.device | None) -> ImageLoss:
+    """Loss of one view: with its weights, if it takes them."""
+    if view.weights is not None and named_losses.takes_weights(name):
+        return named_losses.make(name, view.filled, weights=view.weights)
+    made = named_losses.resolve(name, view.filled, device=device)
+    if isinstance(made, CallableLoss):
+        check_loss(made, view.filled)
+    return made
+
+
+class LossOfViews:
+    """Mean of the views' losses, each divided by the mean of its weights.
+
+    each: loss of each view, in order, of `View.filled`.  One that knows the weights is not divided.
+    spec: its name; None: a user's own, which was made for the target as it was given.
+    """
+
+    def __init__(self, views: Views, each: list[ImageLoss], spec: str | None) -> None:
+        self.views, self._each, self.spec = views, each, spec
+        self.name, version = each[0].name, each[0].version
+        self.version = None if version is None else version + views.version
+        self.of_places = all(getattr(one, "of_places", True) for one in each)
+
+    def __call__(self, images: object) -> Float64:
+        """Losses (n,) of images, as `FIDE.tell` takes them."""
+        return self.compute(self.views.as_batch(images, None, warn_clipped))
+
+    def compute(self, batch: Float32) -> Float64:
+        """Losses (n,) of packed renders, without further checks."""
+        parts = zip(self.views.views, self._each, self.views.split(batch), strict=True)
+        mean: Float64 = np.mean([self._of_view(*part) for part in parts], axis=0)  # of (n,) each
+        return mean
+
+    def _of_view(self, view: View, loss: ImageLoss, part: Float32) -> Float64:
+        knows_weights = getattr(loss, "weights", None) is not None
+        if view.weights is None or (getattr(loss, "weighs_pixels", False) and knows_weights):
+            return loss.compute(part)
+        shown = view.blended(part) if self.spec is None else view.shown(part)
+        values: Float64 = loss.compute(shown) / view.mean_weight
+        return values
+
+
+class CallableOfViews(LossOfViews):
+    """A user's function of what is seen of the views, with checks of its values."""
+
+    version = None
+    spec = None
+
+    def __init__(self, views: Views, function: Callable[..., object]) -> None:
+        self.views, self.name, self._function = views, name_of(function), function
+
+    @user_threads
+    def compute(self, batch: Float32) -> Float64:
+        """Losses (n,) of packed renders; the function gets copies, which it may modify."""
+        pairs = zip(self.views.views, self.views.split(batch), strict=True)
+        shown = [view.blended(part).copy() for view, part in pairs]
+        values = self._function(shown if self.views.listed else shown[0])
+        return as_losses(values, len(batch), f"the loss {self.name!r}")
+
+
+# -- the encoder -----------------------------------------------------------------------------------
+
+
+def encoder_of(views: Views, encoder: PatchEncoder) -> PatchEncoder:
+    """The encoder of views; the encoder itself for one view without weights.
+
+    A user's own is tried on the targets; raises FeaturesError.
+    """
+    base = encoder.base if isinstance(encoder, EncoderOfViews) else encoder
+    for view in views.views:
+        if isinstance(base, OwnEncoder):
+            check_encoder(base, view.target)
+    return base if views.plain else EncoderOfViews(views, base)
+
+
+class EncoderOfViews(PatchEncoder):
+    """Joins the tokens of all views along T: (n, T_1 + T_2 + ..., C).
+
+    base: encodes the pictures of each view, with the target's pixels where they do not count.
+
+    Raises OptionError if the encoder has another C for one of the views.
+    """
+
+    def __init__(self, views: Views, base: PatchEncoder) -> None:
+        self.views, self.base = views, base
+        self.version = base.version + views.version
+        for name in ("name", "uses_network", "weights_digest", "channel_subsets", "device"):
+            setattr(self, name, getattr(base, name))
+        shapes = [base.shape(*view.size) for view in views.views]
+        if len({channels for _, channels in shapes}) > 1:
+            raise OptionError(
+                f"the encoder {base.name!r} gives tokens of different lengths C for the views, "
+                f"(T, C) = {shapes}; take one whose C does not depend on the size"
+            )
+        self._shape = sum(tokens for tokens, _ in shapes), shapes[0][1]
+
+    def __call__(self, images: object) -> torch.Tensor:
+        """Tokens (n, T, C) of renders, as `FIDE.tell` takes them; raises ImageError."""
+        return self.compute(self.views.as_batch(images, None, lambda message: None))
+
+    def compute(self, batch: Float32) -> torch.Tensor:
+        """Tokens (n, T, C) of packed renders (n, P, 1, 3), without further checks."""
+        pairs = zip(self.views.views, self.views.split(batch), strict=True)
+        return torch.cat([self.base.compute(view.shown(part)) for view, part in pairs], dim=1)
+
+    def shape(self, height: int, width: int) -> tuple[int, int]:
+        """(T, C) of all views together, whose sizes are known."""
+        return self._shape
+
+    def _encode(self, images: torch.Tensor) -> torch.Tensor:
+        raise AssertionError("`compute` encodes each view by the base")

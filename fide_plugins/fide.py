@@ -13,19 +13,25 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from torch import Tensor
 
-from fide_plugins import encoders
+from fide_plugins.comparison.kept import Kept
 from fide_plugins.comparison.scale_space import ScaleSpace
 from fide_plugins.encoders.base import PatchEncoder
-from fide_plugins.evaluation import Evaluation, Evaluator
+from fide_plugins.evaluation import Evaluation, Evaluator, loss_of
 from fide_plugins.options import Options, make_options
-from fide_plugins.population import CandidateRole, Population
-from fide_plugins.population.candidate import Memory, TrainingSample, columns, in_order
-from fide_plugins.proposers import channel_subsets, make_proposer, make_steps
+from fide_plugins.population import (
+    CandidateRole,
+    Memory,
+    Population,
+    TrainingSample,
+    columns,
+    in_order,
+)
+from fide_plugins.proposers import make_proposer, make_steps
 from fide_plugins.proposers.image_gate import ImageGate
-from fide_plugins.runtime.machine import timed
 from fide_plugins.runtime.messages import warn_user
+from fide_plugins.runtime.registry import own_name
 from fide_plugins.runtime.schema import array, check, each, maybe, whole
-from fide_plugins.runtime.threads import Lock, one_at_a_time, one_thread
+from fide_plugins.runtime.threads import Lock, one_at_a_time, one_thread, timed
 from fide_plugins.saving import Saved
 from fide_plugins.search.cma_es import default_popsize
 from fide_plugins.search.moves import Stage
@@ -45,12 +51,9 @@ from fide_plugins.validation.points import (
     whole_number,
 )
 from fide_plugins.views import Views
-from fide_plugins.views.compared import loss_of
-from fide_plugins.views.pixel_noise import PixelNoise
-from fide_plugins.views.same_images import SameImages
+from fide_plugins.views.findings import PixelNoise, SameImages
 
 if TYPE_CHECKING:
-    from fide_plugins.comparison.kept import Kept
     from fide_plugins.learning.model import Model
     from fide_plugins.search.validity import Validity
     from fide_plugins.status import Status
@@ -147,8 +150,8 @@ class FIDE(Saved):
     ) -> None:
         self.space = dim if isinstance(dim, Space) else None
         self.dim = number_of_parameters("dim", dim.dim if isinstance(dim, Space) else dim)
-        named = {"encoder": encoders.name_of(encoder), "popsize": popsize}
-        self.options = o = make_options(preset, {**named, **options})
+        name = encoder if isinstance(encoder, str | None) else own_name(encoder)
+        self.options = o = make_options(preset, {"encoder": name, "popsize": popsize, **options})
         self.x0 = starting_point(x0, self.dim, self.space)
         self.guess = None if x0 is None else self.x0
         self.sigma0, self.seed = standard_deviations(sigma0, self.dim), new_seed(seed)
@@ -171,7 +174,7 @@ class FIDE(Saved):
             **o.comparison,
         )
         self.same_images, self._lock = SameImages(self.popsize), Lock()
-        model, posterior = self._model_of(learned, self.views.targets)
+        model, posterior = (None, None) if learned is None else self._model_of(learned, self.views)
         self._model = model  # of the renderer, for the next picture, too; never saved
         self.state = self._initial_state(posterior)
 
@@ -181,7 +184,7 @@ class FIDE(Saved):
         """Lines 1 and 2; posterior: of a learned model, where the search begins."""
         o, k, learned = self.options, self.popsize, posterior is not None
         views, encoder = self.evaluator.views, self.evaluator.encoder
-        subsets = channel_subsets(o, encoder)
+        subsets = o.channel_subsets or encoder.channel_subsets
         layout = None if self.space is None else self.space.layout
         setting = Setting(k, np.broadcast_to(self.sigma0, self.dim), o, layout, self.validity)
         groups: Sequence[Sequence[int]] | None = o.groups
@@ -196,7 +199,7 @@ class FIDE(Saved):
         )  # fmt: skip
         moves.start = setting.valid_start(moves.start, 1)
         side = min(min(view.size) for view in views.views)
-        may_blur = follows and o.coarse_to_fine is not False and self.loss_name is not None
+        may_blur = follows and o.coarse_to_fine is not False and bool(self.evaluator.loss.spec)
         scales = ScaleSpace(
             views,
             possible=may_blur and side >= _COARSEST and not (learned or moves.descends),
@@ -219,16 +222,8 @@ class FIDE(Saved):
             memory=Memory(o.memory_mb),
             pixel_noise=PixelNoise(views),
             scales=scales,
-            kept=self._nothing_kept(),
+            kept=None if self.evaluator.comparison is None else Kept(self.dim),
         )
-
-    def _nothing_kept(self) -> Kept | None:
-        """Room for the best renders; None where they are compared as they are."""
-        if self.evaluator.comparison is None:
-            return None
-        from fide_plugins.comparison.kept import Kept
-
-        return Kept(self.dim)
 
     # -- ask: lines 4 and 5 ------------------------------------------------------------------------
 
@@ -244,7 +239,7 @@ class FIDE(Saved):
         """
         population = self.state.population
         n = None if n is None else whole_number("n", n, 1)
-        with timed(self.times, "search"):
+        with timed(self.state.times, "search"):
             steps = np.empty((0, self.dim))
             if n is not None:
                 steps = self._make_steps(n)
@@ -260,7 +255,7 @@ class FIDE(Saved):
     @one_thread
     def ask_ready(self) -> Float64:
         """As `ask`, but between two generations one step alone: the next one knows its result."""
-        with timed(self.times, "search"):
+        with timed(self.state.times, "search"):
             if len(step := self._make_steps(1)):
                 self._hand_out_steps(step)
                 return step
@@ -271,7 +266,7 @@ class FIDE(Saved):
         population = self.state.population
         if not population.remaining:
             self.draw_generation()
-        if n > population.queued:
+        if n > len(population.queue):
             self._train_early()
         self._make_next(n)  # which may fail, before anything is handed out
         X = np.empty((n, self.dim))
@@ -335,19 +330,19 @@ class FIDE(Saved):
         again.  rng: of the proposer.
         """
         m, proposer = len(population.reserved), self.state.proposer
-        if proposer is None or not m or (n is not None and n <= population.queued):
+        if proposer is None or not m or (n is not None and n <= len(population.queue)):
             return
         if n is not None and proposer.lazy:
-            m = n - population.queued
+            m = n - len(population.queue)
         population.add_proposals(*self._propose(population.reserved[:m], self.state.search, rng))
 
     def _propose(
         self, z: Float64, search: Search, rng: np.random.Generator
     ) -> tuple[Float64, Float64]:
         """Proposals x and their z, (m, d) each, from samples of N(m, Sigma)."""
-        proposer, target = self.state.proposer, self._seen_target
+        proposer, target = self.state.proposer, self.evaluator.tokens_at(self.state.scales.blur)
         assert proposer is not None
-        with timed(self.times, "train"):
+        with timed(self.state.times, "train"):
             made = proposer.propose(search.stretched(z), target, search.mean, search.std, rng)
         x = search.place_proposals(made, z)
         return x, search.closest(x)
@@ -359,7 +354,7 @@ class FIDE(Saved):
         them proposals as before.
         """
         state, population = self.state, self.state.population
-        needed = max(0, population.size - population.evaluated - population.awaited)
+        needed = max(0, population.size - len(population.told) - population.awaited)
         m = min(n, population.remaining) - needed
         if m > 0 and (state.proposer is None or state.proposer.lazy):
             search = state.preview_search()
@@ -379,14 +374,14 @@ class FIDE(Saved):
         between = state.moves.stage is Stage.SEARCH and not state.population.remaining
         if steps is None or not between or not state.gate.strength > 0:
             return none
-        with timed(self.times, "train"):
-            target = self._seen_target
+        with timed(self.state.times, "train"):
+            target = self.evaluator.tokens_at(self.state.scales.blur)
             left = steps.left(search.popsize, target, search.std)
             if not left:
                 return none
             _, z = search.sample(min(n, left), state.rng)
             v = search.stretched(z)
-            x = steps.forward.propose(v, target, search.mean, search.std, state.rng)
+            x = steps.propose(v, target, search.mean, search.std, state.rng)
         return steps.new_ones(search.place_proposals(x, z), state.population.is_pending)
 
     def _hand_out_steps(self, x: Float64) -> None:
@@ -448,9 +443,9 @@ class FIDE(Saved):
         """
         points = as_points(X, self.dim)
         n, evaluator, given = len(points), self.evaluator, losses is not None
-        clipping = self.state.clipping.copy()
+        clipping = replace(self.state.clipping)  # a copy: the rest may fail
         batch = evaluator.as_batch(n, images, losses, features, clipping)
-        with timed(self.times, "encode"):  # lines 7 and 9
+        with timed(self.state.times, "encode"):  # lines 7 and 9
             encode = self.state.proposer is not None and (given or not self.state.scales.blur)
             results = evaluator.evaluate(n, batch, losses, features, version=version, encode=encode)
         self.state.clipping = clipping
@@ -474,7 +469,7 @@ class FIDE(Saved):
         """Enter results of points (n, dim), and finish generations, as `decision` says."""
         self.same_images.note(points, results.images, results.losses)
         state, entered, failure = self.state, 0, None
-        with timed(self.times, "search"):
+        with timed(self.state.times, "search"):
             while entered < len(points):
                 blur = state.scales.blur
                 encode = state.proposer is not None
@@ -496,15 +491,15 @@ class FIDE(Saved):
         """Train (line 8) and update the search distribution (line 10)."""
         state = self.state
         members, losses = state.population.close_generation()
-        samples = state.take_samples()
+        samples, target = state.take_samples(), self.evaluator.tokens_at(state.scales.blur)
         if state.moves.hypotheses is not None:
             state.moves.hypotheses.floor = self._floor
         if state.moves.stage is not Stage.SEARCH:
-            state.finish_stage(members, losses, samples, self._seen_target)
+            state.finish_stage(members, losses, samples, target)
             return
         try:
-            with timed(self.times, "train"):
-                self._train(samples)  # line 8
+            with timed(state.times, "train"):
+                self._train(samples, target)  # line 8
         finally:  # a generation that taught nothing is not lost
             state.update_search(members, losses)  # line 10
             self._decide(decision)
@@ -514,7 +509,7 @@ class FIDE(Saved):
         state, (over, guided) = self.state, decision
         if guided is None:
             guided = state.gate.guided
-        if state.begin_coarse(self.views.target):
+        if state.begin_coarse(self.evaluator.target):
             return
         if over is None:
             over = self.options.restarts != "none" and state.is_over(
@@ -529,7 +524,7 @@ class FIDE(Saved):
         comparison, hypotheses = self.evaluator.comparison, self.state.moves.hypotheses
         return 0.0 if comparison is None or hypotheses is None else comparison.floor
 
-    def _train(self, samples: list[TrainingSample]) -> None:
+    def _train(self, samples: list[TrainingSample], target: Tensor) -> None:
         """Line 8: the proposer learns from what was evaluated since the last time."""
         state = self.state
         learned, state.learned = state.learned, []
@@ -538,7 +533,7 @@ class FIDE(Saved):
         everything = samples if not learned else in_order(samples + learned)
         if samples or state.gate.guarded:  # which judges the generation as a whole
             _, tokens, losses = columns(everything)
-            state.gate.note_images(tokens, self._seen_target, losses)
+            state.gate.note_images(tokens, target, losses)
             del tokens
         if samples:
             state.proposer.update(*columns(samples), state.search.std)
@@ -551,7 +546,7 @@ class FIDE(Saved):
         if len(state.population.reserved) and state.samples:
             samples = state.take_samples()
             state.learned += samples
-            with timed(self.times, "train"):
+            with timed(self.state.times, "train"):
                 proposer.update(*columns(samples), state.search.std)
 
     def recommend(self) -> Float64:
@@ -624,7 +619,7 @@ class FIDE(Saved):
     def status(self) -> Status:
         """What is known of the run so far: a code, and a sentence (see `fide_plugins.status`)."""
         from fide_plugins.status import status_now
-        from fide_plugins.views.solved import is_solved
+        from fide_plugins.views.findings import is_solved
 
         image = None if self.state.best is None else self.state.best.solution.image
         return status_now(self, solved=image is not None and is_solved(self.views, image))
@@ -643,7 +638,7 @@ class FIDE(Saved):
         best, known = self.best, self.state.moves.known
         found = [] if best is None else [best]
         for sample in (optimum.sample for optimum in known.optima.all):
-            distances = [known.exchangeability.distance(sample.x, one.x) for one in found]
+            distances = [known.exchangeability.distance(sample.x, one.x, APART) for one in found]
             if min(distances, default=np.inf) >= APART:
                 one = Solution(sample.x.copy(), sample.loss, sample.evaluation)
                 estimate = self.state.estimate_of(sample.x)
@@ -690,11 +685,6 @@ class FIDE(Saved):
         return self.evaluator.target_tokens
 
     @property
-    def _seen_target(self) -> Tensor:
-        """Tokens (T, C) of the target as the present search sees it."""
-        return self.evaluator.tokens_at(self.state.scales.blur)
-
-    @property
     def views(self) -> Views:
         """Targets and weights of the views; one view for a single target."""
         return self.evaluator.views
@@ -722,10 +712,8 @@ class FIDE(Saved):
 
     # -- where searches begin, and the next picture ------------------------------------------------
 
-    def _model_of(self, learned: Any, target: Any) -> tuple[Model | None, Posterior | None]:
-        """A learned model, or that of a file, and what it says of a target."""
-        if learned is None:
-            return None, None
+    def _model_of(self, learned: Any, views: Views) -> tuple[Model | None, Posterior | None]:
+        """A learned model, or that of a file, and what it says of the targets of views."""
         from fide_plugins.learning.hypotheses import as_model, posterior_of
 
         model = as_model(learned)
@@ -734,7 +722,7 @@ class FIDE(Saved):
                 f"photo=True is for photographs, and the model of {model.renderer!r} has learned "
                 "renders without clutter: learn one with backgrounds or clutter=True"
             )
-        return model, posterior_of(model, self.space or self.dim, target, self.seed)
+        return model, posterior_of(model, self.space or self.dim, views.targets, self.seed)
 
     def random_point(self, number: int) -> Float64:
         """Random point (dim,) that may be rendered; the same for the same number, from 0."""
@@ -790,15 +778,17 @@ class FIDE(Saved):
         """
         evaluator = self.evaluator.retargeted(picture, loss)
         learned = self._model if learned is None else learned
-        model, posterior = self._model_of(learned, evaluator.views.targets)
+        views = evaluator.views
+        model, posterior = (None, None) if learned is None else self._model_of(learned, views)
         state = self.state
-        with timed(self.times, "search"):
+        with timed(self.state.times, "search"):
             recalled = state.recall(evaluator.target_tokens, self.guess, self.popsize)
             known = bool(recalled.samples)
             if posterior is not None and known and state.moves.is_wider(posterior, recalled.start):
                 posterior = None  # the memory says more exactly where the answer is
             self.evaluator, self._model = evaluator, model
-            state.kept = self._nothing_kept()  # the old were of another picture
+            if state.kept is not None:
+                state.kept = Kept(self.dim)  # the old were of another picture
             state.retarget(evaluator.target_tokens, recalled.start, posterior)
             if posterior is None:
                 state.teach(recalled.samples, recalled.start.std, self.popsize)
@@ -849,7 +839,7 @@ class FIDE(Saved):
     @property
     def loss_name(self) -> str | None:
         """Name by which the loss can be made again; None for a user's own."""
-        return self.evaluator.loss_name
+        return self.evaluator.loss.spec
 
     @one_at_a_time
     @one_thread

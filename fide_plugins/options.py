@@ -45,7 +45,7 @@ class Options:
     coarse_to_fine: begin searches with blurred images, see `comparison.scale_space`; None: where
         the first candidates say that it helps, or with photo; True: from the first candidate on.
     memory_mb: MiB of tokens that are kept for `FIDE.retarget` and for `Solution.std`, see
-        `population.candidate.Memory`; 0 for none: then no std is known.
+        `population.Memory`; 0 for none: then no std is known.
     photometric: light that is set aside before images are compared, for each render: "exposure"
         (gain, offset and curve of each channel), "shading" (a smooth field of gains, too), "auto"
         (as far as the images say that the light differs), or None; see `fide_plugins.comparison`.

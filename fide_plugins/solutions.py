@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from fide_plugins import encoders
-from fide_plugins.errors import CheckpointError, OptionError
+from fide_plugins.errors import CheckpointError
 from fide_plugins.fitting.pictures import best_compared, picture, side_by_side
+from fide_plugins.fitting.result import opened
 from fide_plugins.recording.figures import (
     INK,
     MUTED,
@@ -21,16 +21,12 @@ from fide_plugins.recording.figures import (
     figure_as_png,
     plain,
 )
-from fide_plugins.recording.parameters import read_solutions, rows
-from fide_plugins.recording.storage import RunDirectoryError, is_saved, read_run, with_optimizer
+from fide_plugins.recording.parameters import rows, with_std
+from fide_plugins.recording.storage import RunDirectoryError, impossible
 from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.plotting import new_figure
 from fide_plugins.runtime.schema import IMPOSSIBLE, Schema, array, check
 from fide_plugins.types import Float32, Float64, Solution
-
-if TYPE_CHECKING:
-    from fide_plugins.fide import FIDE
-
 
 _KIND, _NAME = "solutions", "solutions.ckpt"
 _SCHEMA: Schema = {
@@ -93,72 +89,20 @@ def read(
     checkpoint is damaged, or if the encoder is another (all ValueErrors); RunDirectoryError (a
     FileExistsError) if no checkpoint was kept; other OSErrors.
     """
-    path = Path(directory)
-    run = read_run(path)
-    if run is None:
-        raise OptionError(f"{path} is no run directory; give one that fide fit or fide run wrote")
-    settings = run["settings"]
-    if settings.get("optimizer") != "fide":
-        raise OptionError(
-            f"{path} is a run of {settings.get('optimizer')}, which keeps one solution: its best; "
-            "only fide knows several"
-        )
-    optimizer = _optimizer(path, encoder)
-    solutions = optimizer.solutions(k)
-    solutions[:1] = [_with_std(one, run) for one in solutions[:1]]
+    path, run, optimizer = opened(directory, encoder)
+    with impossible(path / "run.json", RunDirectoryError):
+        solutions = with_std(optimizer.solutions(k), run)
     known = read_images(path)
     images = [image_of(known, one.x) for one in solutions]
     if solutions and images[0] is None:
         best = best_compared(optimizer)
         images[0] = None if best is None else picture(optimizer, best)
     return Found(
-        str(settings.get("loss")),
+        str(run["settings"].get("loss")),
         side_by_side(optimizer.views.targets),
         solutions,
         images,
     )
-
-
-def _with_std(best: Solution, run: dict[str, Any]) -> Solution:
-    """The best solution with the standard deviations that its fit has computed at the end."""
-    totals = run.get("totals")
-    try:
-        kept = read_solutions((totals or {}).get("solutions", []), len(best.x), best.space)
-    except (AttributeError, TypeError, ValueError, OverflowError):
-        return best
-    same = [one.estimate for one in kept if np.array_equal(one.x, best.x)]
-    return replace(best, estimate=same[0]) if same else best
-
-
-def _optimizer(path: Path, encoder: Callable[..., object] | None) -> FIDE:
-    from fide_plugins.fide import FIDE
-
-    if not is_saved(path):
-        raise RunDirectoryError(
-            f"{path} has no checkpoint, in which the solutions are; runs of a comparison keep none"
-        )
-
-    def load(file: Path) -> FIDE:
-        if encoder is None:
-            _check_encoder(file)
-        return FIDE.load(file, loss=_no_loss, encoder=encoder)
-
-    return with_optimizer(path, load)
-
-
-def _check_encoder(path: Path) -> None:
-    settings: Any = checkpoint.read(path, "fide").get("settings")
-    name = settings.get("encoder") if isinstance(settings, dict) else None
-    if isinstance(name, str) and name.partition(":")[0] not in encoders.names():
-        raise OptionError(
-            f"{path.parent} is a run with an encoder of your own, {name!r}; give it again: "
-            f"--encoder FILE.py:{name}"
-        )
-
-
-def _no_loss(images: Any) -> Any:
-    """A loss in place of the user's own, which is not needed."""
-    return np.zeros(len(images[0] if isinstance(images, list) else images))  # a list of views
 
 
 _MOST = 24  # lines of parameters

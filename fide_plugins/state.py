@@ -9,11 +9,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from fide_plugins.comparison.scale_space import BLURS, NEXT, ScaleSpace
-from fide_plugins.population import Candidate, CandidateRole, Population
-from fide_plugins.population.candidate import Best, Memory, TrainingSample, columns, in_order
+from fide_plugins.comparison.scale_space import BLURS, NEXT, REACH, ScaleSpace
+from fide_plugins.population import (
+    Best,
+    Candidate,
+    CandidateRole,
+    Memory,
+    Population,
+    TrainingSample,
+    columns,
+    in_order,
+)
 from fide_plugins.proposers import Proposer
 from fide_plugins.proposers.feature_buffer import MOST, for_jacobian
+from fide_plugins.proposers.forward import GaussNewtonSteps
 from fide_plugins.proposers.image_gate import ImageGate
 from fide_plugins.runtime.schema import (
     GENERATOR,
@@ -34,12 +43,11 @@ from fide_plugins.search.moves import Stage, Start
 from fide_plugins.search.one_search import Search
 from fide_plugins.search.policy import MovePolicy
 from fide_plugins.types import Estimate, Float32, Float64, Posterior, Solution
-from fide_plugins.validation.pixels import Clipping
-from fide_plugins.views.pixel_noise import PixelNoise
+from fide_plugins.validation.values import Clipping
+from fide_plugins.views.findings import PixelNoise
 
 if TYPE_CHECKING:
     from fide_plugins.comparison.kept import Kept
-    from fide_plugins.proposers.forward import GaussNewtonSteps
     from fide_plugins.search.recall import Recalled
 
 
@@ -125,7 +133,7 @@ class State:
         """
         population = self.population
         enough = max(_FEWEST, _ENOUGH * population.size)
-        if self.moves.stage is not Stage.SEARCH or population.evaluated < enough:
+        if self.moves.stage is not Stage.SEARCH or len(population.told) < enough:
             return None
         return self.search.preview(*population.members())
 
@@ -147,7 +155,7 @@ class State:
         loss, told = (loss, told) if finite else (np.inf, np.inf)
         candidate = self.population.record(x, told)
         if candidate is None:
-            number = self.population.new_index()
+            number, self.population.drawn = self.population.drawn, self.population.drawn + 1
             exact = x = self.search.clipped(x[None])[0]  # what is rendered at x
         else:
             number, exact = candidate.index, candidate.x  # x may have lost digits on its way
@@ -155,7 +163,7 @@ class State:
             if tokens is not None:
                 self._keep(TrainingSample(number, exact.copy(), tokens, told, self.evaluations))
             if image is not None and self.scales.useful is None:
-                self.scales.note(number, exact, image.copy())
+                self.scales.note(number, exact, image)
             repeats = self.moves.stage is Stage.EXCHANGE
             if image is not None and repeats and (exact == self.moves.known.current.x).all():
                 self.pixel_noise.note(image.copy())
@@ -210,7 +218,7 @@ class State:
         if self.best is not None and self.best.search_number == self.searches:
             self.best = replace(self.best, mean=self.search.mean)
         if self.steps is not None:
-            self.steps.after_generation()
+            self.steps.due = True
 
     def is_over(self, *, guided: bool, floor: float = 0.0) -> bool:
         """Whether the present search is over; guided: whether images guide it.
@@ -219,10 +227,12 @@ class State:
 
         A coarse one is, too, where it is as narrow as its blur.
         """
-        if self.scales.blur:
-            reach = self.scales.reach
-            return self.search.is_over(guided=True) or bool((self.search.std < reach).all())
-        return self.search.is_over(guided=guided or self.scales.asked, floor=floor)
+        search, scales = self.search, self.scales
+        guided = guided or scales.asked or scales.blur > 0
+        std, floor = search.distribution.std, 0.0 if scales.blur else floor
+        if search.termination.is_over(std, guided=guided, floor=floor):
+            return True
+        return bool(scales.blur and (search.std < REACH * scales.left[0]).all())
 
     def finish_search(self, *, guided: bool) -> None:
         """Go on elsewhere; what the best of all searches found is kept.
@@ -262,7 +272,7 @@ class State:
 
     def _go_on(self) -> None:
         """Forget the generation; begin another search, if that comes next."""
-        self.pixel_noise.forget_repeat()
+        self.pixel_noise.repeat = None
         self.population.forget_pending()
         if self.moves.stage is Stage.SEARCH:
             self._begin_search()
@@ -375,7 +385,7 @@ class State:
         self.samples, self.learned = [], []
         self.begin_after(self.evaluations)
         self.improved_to = np.inf
-        self.pixel_noise.forget_repeat()
+        self.pixel_noise.repeat = None
         self.scales.end()
         self.moves.retarget(target, start, posterior)
         self._begin_search()

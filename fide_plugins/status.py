@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
 
-__all__ = ["Facts", "Status", "status_now", "status_of"]
-
 _STALLED = 20  # generations without improvement; or a quarter of all evaluations, if that is more
 _NEARLY_ALL = 0.9  # of the images
 _NEXT = "fit again with another seed and compare the losses, or give more renders"
@@ -51,8 +49,8 @@ class Facts:
     others: lowest loss of the other places, if any; apart: how far these are from the best place,
         in the parameter that differs most, as a fraction of its range.
     noise: standard deviation of a pixel, if what is left is independent noise of pixels alone.
-    solved: whether the image equals the target but for what no eye sees (`views.solved`).
-    same: how many candidates have had the same image, if all have; else 0 (`views.same_images`).
+    solved: whether the image equals the target but for what no eye sees (`views.findings`).
+    same: how many candidates have had the same image, if all have; else 0 (`views.findings`).
     mismatch: what explains most of what is left, in words, where the renderer cannot draw it.
     clipped: images whose values went beyond black or white; low, high: the extremes of these.
     """

@@ -8,10 +8,9 @@ import numpy as np
 
 from fide_plugins.errors import LossError
 from fide_plugins.types import Float32
-from fide_plugins.validation.pixels import Clipping, is_path, is_pil, is_torch_tensor
+from fide_plugins.validation.images import is_path, is_pil, is_torch_tensor
+from fide_plugins.validation.values import Clipping
 from fide_plugins.views import Views
-
-__all__ = ["ImageLoss", "ImageReader", "Result", "is_image", "read_result"]
 
 
 class ImageLoss(float):

@@ -34,8 +34,6 @@ from fide_plugins.cli.terminal import (
 )
 from fide_plugins.errors import OptionError
 
-__all__ = ["add_arguments", "execute"]
-
 _SIDE = 112  # pixels of a built-in task
 
 

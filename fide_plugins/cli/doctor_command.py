@@ -43,25 +43,10 @@ def examine(everything: bool = True) -> dict[str, Any]:
     return {
         "versions": machine.versions(),
         "machine": machine.machine(),
-        "opencv": opencv,
-        **({"mitsuba": _try_mitsuba()} if everything else {}),
+        "opencv": {"OpenCV": opencv},
         **{kind: problems(kind) for kind in (KINDS if everything else WITH_WEIGHTS)},
         "extras": {extra: machine.version_of(packages[0]) for extra, packages in EXTRAS.items()},
     }
-
-
-def _try_mitsuba() -> dict[str, str]:
-    """State of each variant of Mitsuba."""
-    from fide_tasks import mitsuba_variant
-
-    if mitsuba_variant.problem_with("scalar"):
-        return {"mitsuba": f"not installed: {install_command('mitsuba')}"}
-    facts = {}
-    for short, name in mitsuba_variant.VARIANTS.items():
-        problem = mitsuba_variant.problem_with(short)
-        remedy = mitsuba_variant.REMEDIES[short] if problem else ""
-        facts[name] = plain(f"no: {problem}; {remedy}") if problem else "ok"
-    return facts
 
 
 def _text(facts: dict[str, Any]) -> str:
@@ -70,8 +55,7 @@ def _text(facts: dict[str, Any]) -> str:
         for extra, version in facts["extras"].items()
     }
     computer = {name: "none" if fact is None else fact for name, fact in facts["machine"].items()}
-    opencv = {"OpenCV": facts["opencv"]}
-    sections = {**facts, "machine": computer, "opencv": opencv, "extras": extras}
+    sections = {**facts, "machine": computer, "extras": extras}
     lines = []
     for title, table in sections.items():
         width = max(map(len, table), default=0)

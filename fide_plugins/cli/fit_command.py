@@ -59,7 +59,6 @@ from fide_plugins.cli.terminal import (
 )
 from fide_plugins.errors import DependencyError, FideError, ImageError, OptionError, RenderError
 from fide_plugins.runtime import laboratory
-from fide_plugins.runtime.messages import duration
 from fide_plugins.validation.options import positive_fraction
 
 if TYPE_CHECKING:
@@ -346,15 +345,7 @@ def _parameters(best: Solution) -> str:
 
 def _report(result: Result, out: Path) -> None:
     """Print the end of a fit: the status has the loss."""
-    failed = f", {result.failures} renders failed" if result.failures else ""
-    failed += f", {result.clipped} images clipped" if result.clipped else ""
-    if result.rejected:
-        failed += f", {result.rejected:.0%} of the candidates rejected by constraints"
-    stopped = f"stopped: {result.stopped.replace('_', '-')}"
-    coarse = (
-        "" if result.cost == result.evaluations else f" (as dear as {result.cost:.0f} full ones)"
-    )
-    print(f"{result.evaluations} renders{coarse} in {duration(result.seconds)}, {stopped}{failed}")
+    print(result.facts)
     if result.best is None:
         print("there is no image with a finite loss; fide check looks at the renderer")
         return

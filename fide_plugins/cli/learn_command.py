@@ -40,8 +40,6 @@ from fide_plugins.cli.terminal import (
 )
 from fide_plugins.errors import DeviceError, FideError, OptionError, RenderError
 
-__all__ = ["add_arguments", "execute"]
-
 _EVERY = 5.0  # seconds between lines in a terminal
 _KEPT = "what was rendered and learned is kept in"
 

@@ -10,8 +10,6 @@ import argparse
 from fide_plugins.cli.doctor_command import KINDS, WITH_WEIGHTS, names, problems
 from fide_plugins.cli.terminal import note
 
-__all__ = ["add_arguments", "execute"]
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``fide list``."""

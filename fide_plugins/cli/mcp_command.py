@@ -23,8 +23,6 @@ from typing import Any
 from fide_plugins.cli.terminal import complain
 from fide_plugins.runtime.machine import missing
 
-__all__ = ["add_arguments", "execute", "server"]
-
 GUIDE = """FIDE finds the parameters of a renderer that make a given picture.
 
 A renderer is FILE.py:NAME, a function that takes a dictionary of parameters and returns an image

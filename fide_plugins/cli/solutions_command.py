@@ -19,8 +19,6 @@ from typing import Any
 from fide_plugins.cli.arguments import path, whole
 from fide_plugins.cli.terminal import USAGE_ERRORS, complain, number, plain, write_figure
 
-__all__ = ["add_arguments", "execute"]
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``fide solutions``."""

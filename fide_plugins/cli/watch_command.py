@@ -16,8 +16,6 @@ from fide_plugins.cli.arguments import path
 from fide_plugins.cli.progress import open_page
 from fide_plugins.cli.terminal import complain, plain
 
-__all__ = ["add_arguments", "execute"]
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``fide watch``."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -16,7 +16,6 @@ from fide_plugins.comparison.auto import (
     has_other_colors,
     light_between,
 )
-from fide_plugins.comparison.blur import blurred
 from fide_plugins.comparison.light import (
     EXPOSURE,
     NONE,
@@ -26,12 +25,12 @@ from fide_plugins.comparison.light import (
     robust_factor,
     robust_light,
 )
+from fide_plugins.comparison.scale_space import blurred
 from fide_plugins.losses.base import ImageLoss
+from fide_plugins.runtime.opencv import cv2
 from fide_plugins.runtime.schema import Schema, array, check, each, maybe, real, text
 from fide_plugins.types import Float32, Float64
 from fide_plugins.views.views import View, Views
-
-__all__ = ["Compared", "Comparison"]
 
 _SMALL = 28  # pixels of a side at which the light is found
 _BACKGROUND = 0.6  # of the loss of the target with its pixels in another order
@@ -57,7 +56,7 @@ class Comparison:
     """How renders are compared with a target.
 
     views: of the target.
-    loss: of views, such as `views.compared.loss_of(views, "mse")`.
+    loss: of views, such as `evaluation.loss_of(views, "mse")`.
     loss_at: makes the same loss for views whose targets are blurred; None: the loss is a user's own
         and knows one target; it gets the target with the blurred difference.
     light: "none", "exposure" or "shading": what of it is set aside.
@@ -108,15 +107,11 @@ class Comparison:
         }  # fmt: skip
 
     def at(self, blur: float | None = None) -> _Level:
-        """The target at a blur, with its loss."""
+        """The target at a blur, None: at the present one, with its loss."""
         blur = self.blur if blur is None else blur
         if blur not in self._levels:
             self._levels[blur] = _Level(self, blur)
         return self._levels[blur]
-
-    def target(self, blur: float | None = None) -> Float32:
-        """Target (H, W, 3), blurred, packed if there are several views."""
-        return self.at(blur).views.target
 
     def compare(self, images: Float32, blur: float | None = None) -> Compared:
         """Adjusted images of renders, with their losses.
@@ -132,7 +127,7 @@ class Comparison:
             parts = self.views.split(image[None])
             adjusted, light = [], []
             for one, part in zip(level.each, parts, strict=True):
-                x, found, free = one.adjusted(*_taken(part[0]))
+                x, found, free = one.adjusted(part[0])
                 adjusted.append(x)
                 light.append(found)
                 hidden[i] += free / len(parts)
@@ -177,16 +172,21 @@ class Comparison:
 
     def residual(self, image: Float32) -> list[Float32]:
         """Absolute difference (H, W) of each view, mean of the channels; image: (H, W, C)."""
+        return [one.residual(x, cover) for _, one, x, cover in self._parts(image)]
+
+    def _parts(
+        self, image: Float32, blur: float | None = None
+    ) -> Iterator[tuple[View, _OneView, Float32, Float32 | None]]:
+        """Of each view: its target, and colors and coverage of an image (H, W, C)."""
         parts = self.views.split(image[None])
-        each = zip(self.at().each, parts, strict=True)
-        return [one.residual(*_taken(part[0])) for one, part in each]
+        for view, one, part in zip(self.views.views, self.at(blur).each, parts, strict=True):
+            yield view, one, *_taken(part[0])
 
     def shown(self, image: Float32) -> Float32:
         """A render (H, W, C) in the light of the target, and over it where it covers nothing."""
-        parts, seen = self.views.split(image[None]), []
-        for view, one, part in zip(self.views.views, self.at(0.0).each, parts, strict=True):
-            x, cover = _taken(part[0])
-            x = one.lit(x, cover)
+        seen = []
+        for view, one, colors, cover in self._parts(image, 0.0):
+            x = one.lit(colors, cover)
             if self.light != NONE:
                 x = np.clip(x, 0, 1)
             if cover is not None:
@@ -197,9 +197,7 @@ class Comparison:
     def leftovers(self, image: Float32) -> list[tuple[Float32, Float32, Float32 | None]]:
         """Of each view: the image (H, W, 3) in its light, the sharp target, weights (H, W)."""
         found = []
-        parts = self.views.split(image[None])
-        for view, one, part in zip(self.views.views, self.at(0.0).each, parts, strict=True):
-            x, cover = _taken(part[0])
+        for view, one, x, cover in self._parts(image, 0.0):
             weights = view.weights
             if cover is not None:
                 weights = cover if weights is None else weights * cover
@@ -268,32 +266,30 @@ class _Level:
 
 
 class _OneView:
-    """Target of one view, of this number, at a blur."""
+    """Target of one view, of this number, at a blur.
+
+    scale: of robust differences; None: they count as they are.
+    """
 
     def __init__(self, comparison: Comparison, view: View, blur: float, number: int) -> None:
         self._comparison, self._view, self._blur, self._number = comparison, view, blur, number
         self.target = blurred(view.target, blur)
         self.shown = self.target
-        self.small = _small(view.target)
         self.small_weights = None if view.weights is None else _small(view.weights)
+        self.scale = comparison.scale if not isinstance(comparison.scale, str) else _scale(view)
 
     @cached_property
-    def scale(self) -> float | None:
-        """Of robust differences; None: they count as they are."""
-        scale = self._comparison.scale
-        if not isinstance(scale, str):
-            return scale
-        seen = self._view.target
-        if self._view.hidden is not None:
-            seen = seen[~self._view.hidden]
-        deviation = float(np.sqrt(seen.reshape(-1, 3).var(axis=0, dtype=np.float64).mean()))
-        return max(_SCALE * deviation, _LEAST_SCALE)
+    def small(self) -> Float32:
+        """Sharp target at which the light is found."""
+        return _small(self._view.target)
 
-    def adjusted(
-        self, image: Float32, coverage: Float32 | None
-    ) -> tuple[Float32, Light | None, float]:
-        """A render (H, W, 3), its light, and the share of pixels that it does not cover."""
-        light = self.light(image, coverage)
+    def adjusted(self, image: Float32) -> tuple[Float32, Light | None, float]:
+        """A render (H, W, C), its light, and the share of pixels that it does not cover."""
+        coverage, light = None, None
+        if image.shape[-1] == 4:
+            image, coverage = _taken(image)
+        if self._comparison.light != NONE:
+            light = self.light(image, coverage)
         y = image if light is None else light.applied(image)
         apart = blurred(y, float(np.hypot(self._blur, self._comparison.camera))) - self.target
         factor = None if self.scale is None else robust_factor(apart, self.scale)  # (H, W)
@@ -320,17 +316,15 @@ class _OneView:
 
     def lit(self, image: Float32, coverage: Float32 | None) -> Float32:
         """A render (H, W, 3) in its light, as soft as the target."""
-        light = self.light(image, coverage)
-        y = image if light is None else light.applied(image)
-        return blurred(y, self._comparison.camera)
+        if self._comparison.light != NONE:
+            image = self.light(image, coverage).applied(image)
+        return blurred(image, self._comparison.camera)
 
-    def light(self, image: Float32, coverage: Float32 | None) -> Light | None:
-        kind, common = self._comparison.light, self._comparison.common
-        if kind == NONE:
-            return None
-        if common is not None:
-            return common[self._number]
-        weights = self._view.weights
+    def light(self, image: Float32, coverage: Float32 | None) -> Light:
+        """Light in which a render (H, W, 3) is nearest to the target, or that all have."""
+        if self._comparison.common is not None:
+            return self._comparison.common[self._number]
+        kind, weights = self._comparison.light, self._view.weights
         if coverage is not None:
             weights = coverage if weights is None else weights * coverage
         if weights is None:
@@ -354,10 +348,15 @@ def _squares(apart: Float32) -> Float32:
     return np.asarray(np.square(apart).sum(axis=-1, keepdims=True), np.float32)
 
 
+def _scale(view: View) -> float:
+    """Scale of robust differences, by the contrast of a target."""
+    seen = view.target if view.hidden is None else view.target[~view.hidden]
+    deviation = float(np.sqrt(seen.reshape(-1, 3).var(axis=0, dtype=np.float64).mean()))
+    return max(_SCALE * deviation, _LEAST_SCALE)
+
+
 def _times(image: Float32, factor: Float32) -> Float32:
     """An image (H, W, 3) times a factor (H, W)."""
-    from fide_plugins.runtime.opencv import cv2
-
     return np.asarray(cv2.multiply(image, cv2.merge([factor, factor, factor])), np.float32)
 
 
@@ -399,8 +398,6 @@ def _weighted(image: Float32, weights: Float32, small: Float32) -> Float32:
 
 def _small(image: Float32) -> Float32:
     """An image (H, W, C) or (H, W), averaged to at most 28 x 28 pixels."""
-    from fide_plugins.runtime.opencv import cv2
-
     height, width = image.shape[:2]
     size = min(width, _SMALL), min(height, _SMALL)
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32)

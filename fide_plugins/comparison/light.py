@@ -1,10 +1,7 @@
 """The light that brings a render nearest to the target: gain, offset and curve of each channel.
 
 They are linear in their coefficients, so the nearest ones have a closed form (variable projection:
-Golub and Pereyra, 1973): ridge regression toward no change, of images reduced to at most 28 x 28
-pixels, with the weights of robust differences.  Where a render is constant, gain, offset and curve
-cannot be told apart, and the prior decides.  Where the nearest would invert a picture, they are
-moved toward no change until they do not.
+Golub and Pereyra, 1973): ridge regression toward no change, of images of at most 28 x 28 pixels.
 """
 
 from __future__ import annotations
@@ -15,18 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from fide_plugins.runtime.opencv import cv2
 from fide_plugins.types import Float32, Float64
-
-__all__ = [
-    "EXPOSURE",
-    "NONE",
-    "SHADING",
-    "Light",
-    "common_light",
-    "fit_light",
-    "robust_factor",
-    "robust_light",
-]
 
 NONE, EXPOSURE, SHADING = "none", "exposure", "shading"
 _NODES = 3  # of the field of gains, in each direction
@@ -59,8 +46,6 @@ class Light:
 
     def applied(self, image: Float32) -> Float32:
         """An image (H, W, 3) in this light; its values may leave [0, 1]."""
-        from fide_plugins.runtime.opencv import cv2
-
         squares = cv2.transform(cv2.multiply(image, image), np.diag(self.curve))
         if len(self.gain) == 1:
             affine = np.column_stack([np.diag(self.gain[0, 0]), self.offset])
@@ -160,8 +145,6 @@ def _median(apart: Float32) -> float:
 
 def robust_factor(apart: Float32, scale: float) -> Float32:
     """C / sqrt(c^2 + d^2), (H, W), of differences (H, W, 3); d^2: their mean square."""
-    from fide_plugins.runtime.opencv import cv2
-
     mean = np.full((1, 3), 1 / (3 * scale * scale))
     squares = np.asarray(cv2.transform(cv2.multiply(apart, apart), mean), np.float32)
     return np.asarray(1 / np.sqrt(1 + squares), np.float32)

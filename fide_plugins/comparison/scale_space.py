@@ -2,20 +2,15 @@
 
 Thin or repeated structures have no basin of a useful width: unless a render is nearly right, its
 loss says nothing of how far it is.  Blurred, they have one (Witkin 1983, "Scale-space filtering").
-So a search may begin with all images blurred, loss, features and steps alike.  When it is over, or
-narrower than the blur, the next one begins at its best candidate with a smaller blur, and the last
-one with none.  Renders are sharp and so is `FIDE.best`; only what the search is told is not.
+When a blurred search is over, or narrower than the blur, the next one begins at its best candidate
+with a smaller blur, the last one with none.  `FIDE.best` is always sharp.
 
 Where regions are wide and flat a blur hides what counts.  So the first candidates decide: if their
 parameters follow better from blurred images than from sharp ones, by a linear model that has not
-seen them, a search from a random place that begins coarse is one of the moves from then on
-(`search.moves.Coarsen`), raced with the others.  If they follow much better, or if sharp features
-hardly agree with the losses, the first search begins again at once, coarse; where they agree even
-less, all searches are as patient as where the user asks for blurs.  Elsewhere nothing changes.
-
-A photograph needs it more often (``photo=True``).  Where its renders say what they draw, all
-searches begin coarse: at the blurs that leave enough of the renders' contrast, since a board of
-squares that is blurred to one gray has no place.
+seen them, such a search is one of the moves (`search.moves.Coarsen`); if much better, or if sharp
+features hardly agree with the losses, the first search begins again at once, coarse.  Of
+photographs whose renders say what they draw all searches begin coarse, at blurs that leave enough
+contrast.
 """
 
 from __future__ import annotations
@@ -26,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fide_plugins.comparison.blur import blurred
+from fide_plugins.runtime.opencv import cv2
 from fide_plugins.runtime.schema import anything, array, check, each, flag, maybe, real, whole
 from fide_plugins.types import Float32, Float64
 from fide_plugins.views import Views
@@ -35,14 +30,13 @@ if TYPE_CHECKING:
     from fide_plugins.comparison.kept import Kept
     from fide_plugins.search.moves import Start
 
-__all__ = ["ScaleSpace", "predictability"]
-
 BLURS = (0.05, 0.025, 0.0125)
 """Standard deviations of one search after another, in sides of the image; then sharp."""
 _PHOTO_BLURS = (0.08, *BLURS)  # where renders have a coverage that leaves contrast at BLURS[0]
 WIDTHS = (0.6, 0.6, 0.5, 0.4)
 """Widest beginning of the searches that follow the first, of its beginning; the last is sharp."""
-_REACH = 1 / 3  # of the blur in sides of the image, which the cube spans
+REACH = 1 / 3
+"""Standard deviation of a search that sees no more at a blur: of that, in sides of the image."""
 NEXT = 2.0  # times the spread of a search that is over: of the next one
 PATIENCE, IMPROVEMENT = 2, 1.0
 """Of coarse searches, in units of the run's: their losses are small, and fall slowly."""
@@ -94,11 +88,6 @@ class ScaleSpace:
         if self.asked:
             return replace(start, patience=PATIENCE_ASKED, improvement=IMPROVEMENT_ASKED)
         return replace(start, patience=PATIENCE, improvement=IMPROVEMENT)
-
-    @property
-    def reach(self) -> float:
-        """Standard deviation, in the cube, of a search that sees no more at the present blur."""
-        return _REACH * self.left[0] if self.left else 0.0
 
     # -- the first candidates ----------------------------------------------------------------------
 
@@ -152,8 +141,14 @@ class ScaleSpace:
         return self.useful
 
     def _small(self, image: Float32) -> list[Float32]:
-        """Pictures of the views (h, w, 3), reduced, of a packed image."""
-        return [_reduced(part[0]) for part in self._views.split(image[None])]
+        """Pictures of the views, averaged to at most 96 pixels along a side, of a packed image."""
+        small = []
+        for part in self._views.split(image[None]):
+            height, width = part.shape[1:3]
+            factor = max(1.0, min(height, width) / _SIDE)
+            size = max(1, round(width / factor)), max(1, round(height / factor))
+            small.append(np.asarray(cv2.resize(part[0], size, interpolation=cv2.INTER_AREA)))
+        return small
 
     # -- searches ----------------------------------------------------------------------------------
 
@@ -208,14 +203,21 @@ _SCHEMA: dict[str, Any] = {
 }
 
 
-def _reduced(image: Float32) -> Float32:
-    """An image (H, W, 3), averaged to at most 96 pixels along its shorter side."""
-    from fide_plugins.runtime.opencv import cv2
+def blurred(image: Float32, blur: float) -> Float32:
+    """An image (H, W, C) behind a Gaussian filter, with its own pixels beyond the border.
 
+    blur: standard deviation in pixels; a large one filters a smaller image.
+    """
+    if not blur:
+        return image
     height, width = image.shape[:2]
-    factor = max(1.0, min(height, width) / _SIDE)
+    factor = max(1, int(blur / 2))
     size = max(1, round(width / factor)), max(1, round(height / factor))
-    return np.ascontiguousarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
+    small: Any = cv2.resize(image, size, interpolation=cv2.INTER_AREA) if factor > 1 else image
+    small = cv2.GaussianBlur(small, (0, 0), blur / factor, borderType=cv2.BORDER_REPLICATE)
+    if factor > 1:
+        small = cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(small, np.float32).reshape(image.shape)
 
 
 def contrast(views: Views, kept: Kept, blur: float) -> float:
@@ -232,17 +234,18 @@ def contrast(views: Views, kept: Kept, blur: float) -> float:
     return float(np.mean(found)) if found else 0.0
 
 
-def _flat(seen: list[tuple[int, Float64, list[Float32]]], share: float) -> Float64:
+def _flat(seen: list[tuple[int, Float64, list[Float32]]], share: float) -> Float32:
     """Blurred images as rows (n, ...); share: standard deviation in sides of the image."""
     side = min(min(part.shape[:2]) for part in seen[0][2])
-    rows = [
-        np.concatenate([blurred(part, share * side).ravel() for part in images])
-        for _, _, images in seen
-    ]
-    return np.array(rows, np.float64)
+    return np.array(
+        [
+            np.concatenate([blurred(part, share * side).ravel() for part in images])
+            for _, _, images in seen
+        ]
+    )
 
 
-def predictability(images: Float64, X: Float64) -> float:
+def predictability(images: Float32 | Float64, X: Float64) -> float:
     """How well parameters X (n, d) follow from images (n, p) by a linear model, in [0, 1].
 
     The mean over the parameters of 1 - e / v, at least 0, with e the mean squared error of the
@@ -250,8 +253,8 @@ def predictability(images: Float64, X: Float64) -> float:
     seven that is best.
     """
     n = len(X)
-    centered = images - images.mean(axis=0)
-    values, vectors = np.linalg.eigh(centered @ centered.T)
+    centered = images - images.mean(axis=0, dtype=np.float64).astype(images.dtype)
+    values, vectors = np.linalg.eigh((centered @ centered.T).astype(np.float64))
     values = np.maximum(values, 0.0)
     if not values.any():
         return 0.0

@@ -22,8 +22,6 @@ from fide_plugins.runtime.registry import Referent, name_of, tried_on
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.types import Float32
 
-__all__ = ["OwnEncoder", "check_encoder", "referenced"]
-
 _REFERENT = Referent(
     "encoder",
     "a function of images",
@@ -94,8 +92,7 @@ class OwnEncoder(PatchEncoder):
         raise AssertionError("`compute` calls the function")
 
 
-def check_encoder(encoder: PatchEncoder, target: Float32) -> None:
+def check_encoder(encoder: OwnEncoder, target: Float32) -> None:
     """Try a user's own encoder on the target (H, W, 3) and its negative; raises FeaturesError."""
-    if isinstance(encoder, OwnEncoder):
-        what = f"the encoder {encoder.name!r}"
-        tried_on(target, lambda one: encoder.compute(one).cpu().numpy(), what, FeaturesError)
+    what = f"the encoder {encoder.name!r}"
+    tried_on(target, lambda one: encoder.compute(one).cpu().numpy(), what, FeaturesError)

@@ -1,8 +1,6 @@
-"""Renders around the answer of a fit, from which its standard deviations are computed.
+"""Renders around the answer of a fit, two a number, which tell its standard deviations.
 
-Two renders a number, at either side, and one of the answer itself, which tells whether the renderer
-has noise: then nothing is said.  Where the image bends, or one side is known only, a nearer step
-tells a slope from a jump; where nothing changes the step grows.  No less than a jump is claimed.
+Where the image bends, or one side is known only, a nearer step tells a slope from a jump.
 """
 
 from __future__ import annotations
@@ -17,13 +15,11 @@ import numpy as np
 from fide_plugins.errors import ImageError
 from fide_plugins.fide import FIDE
 from fide_plugins.fitting.pictures import canonical
-from fide_plugins.fitting.rendering import Rendered
-from fide_plugins.fitting.workers import Workers, gathered
+from fide_plugins.fitting.rendering import Rendered, Workers
+from fide_plugins.fitting.workers import gathered
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.types import OPEN, Float32, Float64, Indices
 from fide_plugins.uncertainty.at_answer import deviations_at, means, pixels_together
-
-__all__ = ["MOST_NUMBERS", "numbers", "std_around"]
 
 MOST_NUMBERS = 500  # of the answer, above which slopes do not fit in little memory
 _STEP, _NEARER = 0.005, 0.2  # of the cube; times as far

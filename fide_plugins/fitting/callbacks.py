@@ -1,17 +1,6 @@
-"""Callbacks: who watches a fit, and who stops it.
+"""Callbacks: functions of an `Event`, or objects with `on_evaluation(event)` or `on_end(result)`.
 
-A callback has any of these methods; a function is taken for `on_evaluation`.
-
-======================  =========================================================================
-`on_start(run)`         before the first render of a call; run: `Run`
-`on_evaluation(event)`  after each image was evaluated; event: `Event`
-`on_improvement(event)` after that, if its loss is the lowest so far
-`on_end(result)`        at the end, also after an interruption or an error; result: `Result`
-======================  =========================================================================
-
-`on_evaluation` and `on_improvement` stop the fit if they return True; any method stops it by
-raising `StopFitting`.  They are called in the process and thread of `fit`, so a slow one delays it.
-Another exception ends the fit with a `FitError`, which has the result; a run directory is saved.
+They are called in the process and thread of `fit`, so a slow one delays it.
 """
 
 from __future__ import annotations
@@ -22,7 +11,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,31 +23,13 @@ from fide_plugins.types import Float64
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
 
-__all__ = ["Callbacks", "Event", "Run", "StopFitting"]
+__all__ = ["Callbacks", "Event", "StopFitting"]
 
-_METHODS = ("on_start", "on_evaluation", "on_improvement", "on_end")
+_METHODS = ("on_evaluation", "on_end")
 
 
 class StopFitting(Exception):
     """Raised by a callback, it stops the fit, which returns its result."""
-
-
-@dataclass(frozen=True, slots=True)
-class Run:
-    """A fit that is about to begin.
-
-    optimizer: has `target`, `space`, `options`, `seed`.
-    workers: number of renders at a time; 0: in this process.
-    budget: evaluations at most; None: no limit.
-    evaluations: so far; not 0 if it was resumed.
-    out: run directory; None without.
-    """
-
-    optimizer: FIDE
-    workers: int
-    budget: int | None
-    evaluations: int
-    out: Path | None
 
 
 @dataclass(frozen=True)
@@ -94,23 +64,23 @@ class Event:
 class Callbacks:
     """Several callbacks as one; given: a callback, or a list or tuple of them.
 
+    `on_evaluation`, or the function, is called after each image was evaluated, and stops the fit if
+    it returns True; `on_end` at the end, also after an interruption or an error.
+
     Raises OptionError (a ValueError) for one that is neither callable nor has any of the methods.
     """
 
     def __init__(self, given: object) -> None:
         self._methods: dict[str, list[Callable[[Any], object]]] = {name: [] for name in _METHODS}
         for callback in given if isinstance(given, list | tuple) else [given]:
-            methods = {name: getattr(callback, name, None) for name in _METHODS}
-            if not any(map(callable, methods.values())):
-                methods = {"on_evaluation": callback}
-            for name, method in methods.items():
-                if callable(method):
-                    self._methods[name].append(method)
-                elif len(methods) == 1:
-                    raise OptionError(
-                        f"a callback must be a function or have one of {', '.join(_METHODS)}, "
-                        f"not {callback!r}"
-                    )
+            found = {name: getattr(callback, name) for name in _METHODS if hasattr(callback, name)}
+            if not found and not callable(callback):
+                raise OptionError(
+                    f"a callback must be a function or have one of {', '.join(_METHODS)}, "
+                    f"not {callback!r}"
+                )
+            for name, method in (found or {"on_evaluation": callback}).items():
+                self._methods[name].append(method)
 
     def __bool__(self) -> bool:
         return any(self._methods.values())

@@ -26,35 +26,39 @@ from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.images import as_pixels
 from fide_plugins.validation.options import seconds_of
 
-__all__ = ["Facts", "advice", "as_data", "check", "figure", "lines"]
-
 _FAST = 0.005  # seconds of a render below which sending it to another process is most of the work
-_POINTS, _DRAWN, _TRIED = 8, 1000, 3  # random points; drawn for these; tried for silent parameters
+_POINTS, _DRAWN = 8, 1000  # random points; drawn for these
 _LOUDER, _ROUNDING = 1.25, 1e-7  # times the noise, of the range: from which a difference is one
-_BYTES = 32.0, 280.0  # largest values that look like 0 to 255
 _OVERSHOOT = 0.5  # of [0, 1], which is no other range
 _LEAST, _EACH, _EACH_OF_MANY, _MANY = 2000, 100, 150, 100  # renders of a fit: docs/howto/budget.md
 _OWN = 0.001  # seconds that the optimizer itself takes for a candidate
-_SHOWN, _NAMED, _REASONS = 40, 8, 3  # parameters in the picture, names in a sentence, failures
+_SHOWN, _REASONS = 40, 3  # parameters in the picture, failures
 
 Views = list[Float32]
 """Views (H, W, C) of a render; bytes are divided by 255, NaN is 0."""
 
 
-@dataclass(frozen=True)
-class Sweep:
-    """A parameter, a point (k, dim) for each of its values, and these as texts."""
+@dataclass(eq=False)
+class Effect:
+    """A parameter that can vary, and what it does.
+
+    X: (k, dim), a point for each of its values; texts: these; axes: those on which it lies.
+    pictures: (h, w, 3) of its values, reduced; None where the render failed.
+    change: largest RMS difference of two of them; None where too few renders gave an image.
+    """
 
     name: str
     label: str
-    axes: list[int]
     range: str
-    X: Float64 = field(repr=False)
     texts: list[str]
+    axes: list[int]
+    X: Float64
+    pictures: list[Float32 | None] = field(default_factory=list)
+    change: float | None = None
 
 
-def sweeps(space: Space | int, center: Float64) -> list[Sweep]:
-    """A sweep around the point (dim,) of each parameter that can vary."""
+def effects_in(space: Space | int, center: Float64) -> list[Effect]:
+    """Each parameter that can vary, around the point (dim,); nothing is rendered yet."""
     unnamed = isinstance(space, int)
     if isinstance(space, int):
         known = Space(**{f"x{i}": Float(0, 1) for i in range(space)})
@@ -78,23 +82,8 @@ def sweeps(space: Space | int, center: Float64) -> list[Sweep]:
         limits = f"{low:g} to {high:g}" if hasattr(kind, "low") else f"{round(high) + 1} values"
         name = f"x[{i}]" if unnamed else name
         label = name if kind.unit is None else f"{name} [{kind.unit}]"
-        found.append(Sweep(name, label, axes, limits, X, texts))
+        found.append(Effect(name, label, limits, texts, axes, X))
     return found
-
-
-@dataclass(eq=False)
-class Effect:
-    """What a parameter does.
-
-    pictures: (h, w, 3) of its values, reduced; None where the render failed.
-    change: largest RMS difference of two of them; None where too few renders gave an image.
-    where: it changes the image: "center", "elsewhere", "nowhere" or "unknown".
-    """
-
-    sweep: Sweep
-    pictures: list[Float32 | None]
-    change: float | None
-    where: str
 
 
 @dataclass
@@ -112,13 +101,11 @@ class Facts:
     """What a check has found.
 
     images: how many renders gave one; rejected: points that violate constraints.
-    center: the point around which parameters vary; centered: it is the middle of the ranges.
+    center: parameters around which others vary; centered: they are the middle of the ranges.
     shapes: (H, W, C) of all views, as they occurred; kinds: types of their numbers.
-    not_finite, constant, outside: images with NaN or infinite values, of one color, and with values
-        outside of [0, 1].
+    not_finite, outside: images with NaN or infinite values, and with values outside of [0, 1].
     median: seconds of a render, without the first one.
     noise: largest RMS difference of renders of one point.
-    points: where parameters were tried that change nothing at the center.
     kills: whether a render ended its process, or was stopped for its time.
     """
 
@@ -134,12 +121,10 @@ class Facts:
     low: float = math.inf
     high: float = -math.inf
     not_finite: int = 0
-    constant: int = 0
     outside: int = 0
     median: float = 0.0
     number: int = 1
     noise: float | None = None
-    points: int = 0
     kills: bool = False
     effects: list[Effect] = field(default_factory=list)
     failures: list[Failure] = field(default_factory=list)
@@ -151,20 +136,15 @@ class Facts:
         return sum(one.count for one in self.failures)
 
     @property
-    def bytes_as_floats(self) -> bool:
-        """Whether the values are floats that look like 0 to 255."""
-        return _BYTES[0] <= self.high <= _BYTES[1] and self.low >= -0.1 * self.high
-
-    @property
-    def black(self) -> float:
-        """Value that is shown as black."""
-        return 0.0 if self.bytes_as_floats or self.low >= -_OVERSHOOT else self.low
+    def ends(self) -> tuple[float, float]:
+        """Values that are shown as black and white: 0 and 1, or of another range."""
+        black = 0.0 if self.low >= -_OVERSHOOT else self.low
+        return black, 1.0 if self.high <= 1 + _OVERSHOOT else self.high
 
     @property
     def span(self) -> float:
         """From black to white, in which differences are told."""
-        white = 1.0 if self.high <= 1 + _OVERSHOOT else self.high
-        return (255.0 if self.bytes_as_floats else white) - self.black
+        return self.ends[1] - self.ends[0]
 
     @property
     def budget(self) -> int:
@@ -180,6 +160,11 @@ class Facts:
     def seconds_of_fit(self) -> float:
         """About how long so many renders take on this machine."""
         return self.budget * (self.median / max(self.workers, 1) + _OWN)
+
+    def shows(self, effect: Effect) -> bool | None:
+        """Whether a parameter changes the image by more than noise; None where nobody knows."""
+        least = max(_ROUNDING * self.span, _LOUDER * (self.noise or 0.0))
+        return None if effect.change is None else effect.change > least
 
 
 def check(
@@ -212,76 +197,45 @@ class _Check:
         self, render: Callable[[Any], object], space: Space | int, limit: float | None, number: int
     ) -> None:
         dim = space if isinstance(space, int) else space.dim
-        self.facts = Facts(dim, len(sweeps(space, np.full(dim, 0.5))))
+        self.facts = Facts(dim, len(effects_in(space, np.full(dim, 0.5))))
         self._renderer = Renderer(render, space if isinstance(space, Space) else None)
         self.pool = workers_for(self._renderer, number, None, limit)
         self._space, self._limit = space, limit
         self._constraints = constraints_of(self._renderer.space, None)
         self._seconds: list[float] = []
-        self._rng = np.random.default_rng(0)
 
     def execute(self, number: int, free: bool) -> None:
         """Render; number: of workers, or one for fast renders where that is `free`."""
-        facts = self.facts
-        bases = self._rng.random((_POINTS, facts.dim))
+        facts, rng = self.facts, np.random.default_rng(0)
+        bases = rng.random((_POINTS, facts.dim))
         if self._constraints is not None:
-            drawn = self._rng.random((_DRAWN, facts.dim))
+            drawn = rng.random((_DRAWN, facts.dim))
             bases = drawn[self._constraints(drawn) == 0][:_POINTS]
-        found = self._center(bases)
-        if found is None:
+        groups = [] if isinstance(self._space, int) else self._space.groups
+        repeated = [axis for block in groups for axis in block]
+        middle = np.full(facts.dim, 0.5)
+        middle[repeated] = rng.uniform(0.2, 0.8, len(repeated))  # else things hide each other
+        for x in (middle, *bases):
+            (image,) = self._images(x[None])
+            if image is not None:
+                break
+        else:
             return
-        center, image = found
-        facts.noise = _largest([image, *self._images(np.repeat(center[None], 2, axis=0))])
-        each = min(self._seconds)
+        facts.center, facts.centered = self._renderer.params(x), x is middle
+        facts.noise = _largest([image, *self._images(np.repeat(x[None], 2, axis=0))])
         facts.number = number
-        number = 1 if each < _FAST and free else number
+        number = 1 if min(self._seconds) < _FAST and free else number
         if number != self.pool.number:
             self.pool.close()
             self.pool = workers_for(self._renderer, number, None, self._limit)
-        plan = sweeps(self._space, center)
-        known = list(zip(bases, self._images(bases), strict=True))
-        facts.effects = [self._effect(sweep) for sweep in plan]
-        self._elsewhere([(x, image) for x, image in known if image is not None])
+        for _ in self._images(bases):
+            pass
+        facts.effects = effects_in(self._space, x)
+        for effect in facts.effects:
+            images = list(self._images(effect.X))
+            effect.change = _largest(images)
+            effect.pictures = [None if image is None else _small(image) for image in images]
         facts.median = median(self._seconds[1:] or self._seconds)
-
-    def _center(self, bases: Float64) -> tuple[Float64, Views] | None:
-        """The middle of the ranges and its image, or the first of other points that has one."""
-        middle = np.full(self.facts.dim, 0.5)
-        groups = [] if isinstance(self._space, int) else self._space.groups
-        repeated = [axis for block in groups for axis in block]
-        middle[repeated] = self._rng.uniform(0.2, 0.8, len(repeated))
-        for i, x in enumerate([middle, *bases]):
-            (image,) = self._images(x[None])
-            if image is not None:
-                self.facts.center, self.facts.centered = self._renderer.params(x), i == 0
-                return x, image
-        return None
-
-    def _effect(self, sweep: Sweep) -> Effect:
-        images = list(self._images(sweep.X))
-        change = _largest(images)
-        pictures = [None if image is None else _small(image) for image in images]
-        return Effect(sweep, pictures, change, self._where(change, "center"))
-
-    def _elsewhere(self, known: list[tuple[Float64, Views]]) -> None:
-        """Try what changes nothing at the center at other points."""
-        if all(effect.where == "center" for effect in self.facts.effects):
-            return
-        for x, image in known[:_TRIED]:
-            self.facts.points += 1
-            for effect in self.facts.effects:
-                if effect.where in ("nowhere", "unknown"):
-                    X = np.repeat(x[None], len(effect.sweep.X), axis=0)
-                    X[:, effect.sweep.axes] = effect.sweep.X[:, effect.sweep.axes]
-                    change = _largest([image, *self._images(X)])
-                    if change is not None:
-                        effect.where = self._where(change, "elsewhere")
-
-    def _where(self, change: float | None, place: str) -> str:
-        if change is None:
-            return "unknown"
-        least = max(_ROUNDING * self.facts.span, _LOUDER * (self.facts.noise or 0.0))
-        return place if change > least else "nowhere"
 
     def _images(self, X: Float64) -> Iterator[Views | None]:
         """Image of each point; None, with the reason noted, where there is none."""
@@ -328,22 +282,19 @@ class _Check:
         facts.low, facts.high = min(facts.low, low), max(facts.high, high)
         facts.images += 1
         facts.not_finite += lost
-        facts.constant += all(bool((view == view[:1, :1]).all()) for view in views)
         facts.outside += low < -_ROUNDING or high > 1 + _ROUNDING
         return views
 
 
-def difference(a: Views, b: Views) -> float:
-    """Root mean square of the difference of two images; infinite for two sizes."""
-    if [view.shape for view in a] != [view.shape for view in b]:
-        return math.inf
-    pairs = zip(a, b, strict=True)
-    apart = [np.subtract(one, two, dtype=np.float64).ravel() for one, two in pairs]
-    return float(np.sqrt(np.square(np.concatenate(apart)).mean()))
-
-
 def _largest(images: list[Views | None]) -> float | None:
-    found = [difference(a, b) for a, b in combinations(filter(None, images), 2)]
+    """Largest root mean square difference of two images, infinite for two sizes."""
+    found = []
+    for a, b in combinations(filter(None, images), 2):
+        if [view.shape for view in a] != [view.shape for view in b]:
+            return math.inf
+        pairs = zip(a, b, strict=True)
+        apart = [np.subtract(one, two, dtype=np.float64).ravel() for one, two in pairs]
+        found.append(float(np.sqrt(np.square(np.concatenate(apart)).mean())))
     return max(found, default=None)
 
 
@@ -357,22 +308,11 @@ def _small(views: Views) -> Float32:
     return thumbnail(side_by_side(shown))
 
 
-def advice(facts: Facts) -> list[str]:
+def advice(facts: Facts) -> Iterator[str]:
     """Sentences, each with what to do."""
     if not facts.images:
-        return ["no render gave an image: mend the renderer first"]
-    found = [*_of_images(facts), *_of_values(facts)]
-    if facts.effects and all(one.where == "nowhere" for one in facts.effects):
-        return [*found, "no parameter changes the image; does the renderer read them?"]
-    plan = (
-        f"plan {facts.budget:,} renders for {counted(facts.parameters, 'parameter')}, about "
-        f"{duration(facts.seconds_of_fit)} here with --workers {facts.workers}"
-    )
-    return [*found, *_of_parameters(facts), plan]
-
-
-def _of_images(facts: Facts) -> Iterator[str]:
-    of = f"of {counted(facts.images, 'image')}"
+        yield "no render gave an image: mend the renderer first"
+        return
     if facts.failed:
         yield (
             f"{facts.failed} of {counted(facts.renders, 'render')} failed; a fit withdraws such "
@@ -383,24 +323,15 @@ def _of_images(facts: Facts) -> Iterator[str]:
     if len(facts.shapes) > 1:
         sizes = " and ".join(map(shape_text, facts.shapes[:3]))
         yield f"the size of the image changes with the parameters ({sizes}); a fit needs one size"
-    if facts.constant:
-        yield f"one color everywhere in {facts.constant} {of}: a search learns little there"
+    of = f"of {counted(facts.images, 'image')}"
     if facts.not_finite:
         yield f"NaN or infinite values in {facts.not_finite} {of}; a fit counts them as failed"
-
-
-def _of_values(facts: Facts) -> Iterator[str]:
-    if facts.bytes_as_floats:
-        yield (
-            f"values are floats up to {facts.high:.4g}, which looks like 0 to 255; return "
-            "image / 255, or whole numbers of type uint8"
-        )
-    elif facts.outside:
+    if facts.outside:
         low, high = f"{min(facts.low, 0.0):.3g}", f"{facts.high:.3g}"
         yield (
-            f"values outside of [0, 1] in {facts.outside} of {counted(facts.images, 'image')}, "
-            "which a fit clips; if they are no overshoot, give it their range, "
-            f"value_range=({low}, {high}) or --value-range {low} {high}"
+            f"values outside of [0, 1] in {facts.outside} {of}, which a fit clips; if they are no "
+            f"overshoot, give it their range, value_range=({low}, {high}) or --value-range {low} "
+            f"{high}; of 0 to 255 return image / 255, or type uint8"
         )
     rms = (facts.noise or 0.0) / facts.span
     if rms > 1e-5:
@@ -409,20 +340,17 @@ def _of_values(facts: Facts) -> Iterator[str]:
             f"{rms**2 / 2:.1g} cannot be told from noise; more samples make a fit finer, and "
             "--until stalled ends it there"
         )
-
-
-def _of_parameters(facts: Facts) -> Iterator[str]:
-    said = {
-        "nowhere": f"nothing at any of {counted(facts.points + 1, 'point')}; does the renderer "
-        "read it? If it does, leave it out of the space",
-        "elsewhere": "nothing at the center, but elsewhere",
-        "unknown": "an unknown amount: too few of its renders gave an image",
-    }
-    for where, what in said.items():
-        names = [one.sweep.name for one in facts.effects if one.where == where]
-        if names:
-            more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-            yield f"{', '.join(names[:_NAMED])}{more}: changes {what}"
+    silent = [one.name for one in facts.effects if facts.shows(one) is False]
+    if silent:
+        yield (
+            f"{', '.join(silent)}: changes nothing at the center; does the renderer read it? If it "
+            "does not matter, leave it out of the space"
+        )
+    if not facts.effects or len(silent) < len(facts.effects):
+        yield (
+            f"plan {facts.budget:,} renders for {counted(facts.parameters, 'parameter')}, about "
+            f"{duration(facts.seconds_of_fit)} here with --workers {facts.workers}"
+        )
 
 
 def shape_text(shapes: tuple[tuple[int, ...], ...]) -> str:
@@ -440,9 +368,7 @@ def lines(name: str, facts: Facts) -> list[str]:
     made = f"{counted(facts.renders, 'render')} in {duration(facts.seconds)}"
     shown = [f"{name}: {counted(facts.parameters, 'parameter')}, {made}"]
     if facts.images:
-        noise = "not known" if facts.noise is None else "none"
-        if facts.noise:
-            noise = f"renders of one point differ by {facts.noise / facts.span:.2g} (RMS)"
+        noise = "not known" if facts.noise is None else f"{facts.noise / facts.span:.2g} (RMS)"
         shown += [
             f"image     {shape_text(facts.shapes[0])}, {' and '.join(facts.kinds)}, "
             f"values {facts.low:.4g} to {facts.high:.4g}",
@@ -465,32 +391,31 @@ def lines(name: str, facts: Facts) -> list[str]:
 
 def change_text(one: Effect, facts: Facts) -> str:
     """How much a parameter changes the image, of the range of its values."""
-    others = {"elsewhere": "elsewhere only", "nowhere": "NOTHING", "unknown": "unknown"}
-    if one.where != "center" or one.change is None:
-        return others[one.where]
+    if one.change is None or not facts.shows(one):
+        return "unknown" if one.change is None else "NOTHING"
     return "size" if math.isinf(one.change) else f"{one.change / facts.span:.2g}"
 
 
 def _table(facts: Facts) -> list[str]:
     rows = [("parameter", "range", "change (RMS)")]
     for one in facts.effects:
-        pairs = zip(one.sweep.texts, one.pictures, strict=True)
+        pairs = zip(one.texts, one.pictures, strict=True)
         failed = ", ".join(text for text, picture in pairs if picture is None)
         change = change_text(one, facts) + (f", no image at {failed}" if failed else "")
-        rows.append((one.sweep.label, one.sweep.range, change))
+        rows.append((one.label, one.range, change))
     widths = [max(len(row[i]) for row in rows) for i in range(2)]
     return [f"{a:{widths[0]}}  {b:{widths[1]}}  {c}" for a, b, c in rows]
 
 
 def as_data(name: str, facts: Facts) -> dict[str, Any]:
     """The same for JSON."""
-    names = ("dim", "renders", "rejected", "failed", "images", "not_finite", "constant", "outside")
+    names = ("dim", "renders", "rejected", "failed", "images", "not_finite", "outside")
     more = ("budget", "workers", "seconds", "median", "seconds_of_fit", "shapes", "kinds", "noise")
     effects = [
         {
-            "name": one.sweep.name,
-            "values": one.sweep.texts,
-            "changes": one.where,
+            "name": one.name,
+            "values": one.texts,
+            "changes": facts.shows(one),
             "change_rms": None if math.isinf(one.change or 0) else one.change,
         }
         for one in facts.effects
@@ -502,13 +427,13 @@ def as_data(name: str, facts: Facts) -> dict[str, Any]:
         "center": dict(flat(facts.center)) if isinstance(facts.center, dict) else None,
         "failures": [asdict(one) for one in facts.failures],
         "parameters": effects,
-        "advice": advice(facts),
+        "advice": list(advice(facts)),
     }
 
 
 def figure(name: str, facts: Facts) -> bytes:
     """PNG: each parameter a row, those that change nothing first of all where there are many."""
-    effects = sorted(facts.effects, key=lambda one: one.where == "center")[:_SHOWN]
+    effects = sorted(facts.effects, key=lambda one: bool(facts.shows(one)))[:_SHOWN]
     columns = 1 + max((len(one.pictures) for one in effects), default=1)
     canvas = new_figure(1.5 * columns, 0.6 + 1.5 * max(1, len(effects)), dpi=110)
     canvas.set_layout_engine("constrained")
@@ -517,14 +442,14 @@ def figure(name: str, facts: Facts) -> bytes:
     for axes in grid.ravel():
         axes.axis("off")
     for effect, row in zip(effects, grid, strict=False):
-        words = f"{effect.sweep.label}\nchange {change_text(effect, facts)}"
-        color = "#c2410c" if effect.where in ("nowhere", "unknown") else "#1a1a1a"
+        words = f"{effect.label}\nchange {change_text(effect, facts)}"
+        color = "#1a1a1a" if facts.shows(effect) else "#c2410c"
         row[0].text(0, 0.5, plain(words), fontsize=8.5, color=color, va="center")
-        for axes, text, picture in zip(row[1:], effect.sweep.texts, effect.pictures, strict=False):
+        for axes, text, picture in zip(row[1:], effect.texts, effect.pictures, strict=False):
             if picture is None:
                 axes.text(0.5, 0.5, f"{plain(text)}: no image", fontsize=8, ha="center")
             else:
                 axes.axis("on")
-                shown = np.clip((picture - facts.black) / facts.span, 0, 1)
+                shown = np.clip((picture - facts.ends[0]) / facts.span, 0, 1)
                 draw_image(axes, Panel(plain(text), np.asarray(shown, np.float32)))
     return figure_as_png(canvas)

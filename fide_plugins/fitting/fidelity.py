@@ -1,22 +1,15 @@
-"""How fine renders are: as small, and of as few samples a pixel, as the present step can do with.
-
-A search begins with the smallest pictures and the fewest samples; `schedule` says when they become
-finer.  Losses of another fineness are forgotten (`comparing.compare_finer`), and the best candidate
-is rendered again first.
-"""
+"""How fine renders may be: a `Fidelity`, and workers that are asked as a `Schedule` says."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from fide_plugins.errors import OptionError
-from fide_plugins.fitting.rendering import Outcome, Task
+from fide_plugins.fitting.rendering import Outcome, Task, Workers
 from fide_plugins.fitting.schedule import Schedule
-from fide_plugins.fitting.stopping import Stopping
-from fide_plugins.fitting.workers import Workers
 from fide_plugins.renderers.keywords import keywords_of
 from fide_plugins.validation.points import whole_number
 
@@ -24,8 +17,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from fide_plugins.fide import FIDE
-
-__all__ = ["Fidelity", "StoppingFine", "WorkersAsked", "schedule_for"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,33 +91,13 @@ def _sizes(optimizer: FIDE, limits: tuple[int, int] | None) -> list[Any]:
     return [(round(full[0] * one), round(full[1] * one)) for one in share]
 
 
-@dataclass(frozen=True)
-class StoppingFine(Stopping):
-    """Rules that are about an answer hold for the finest renders only; else these become finer."""
-
-    schedule: Schedule | None = None
-
-    @classmethod
-    def around(cls, rules: Stopping, schedule: Schedule) -> StoppingFine:
-        """The same rules."""
-        return cls(**asdict(rules), schedule=schedule)
-
-    def reached(self, *args: Any) -> str | None:
-        """As `Stopping.reached`."""
-        found = Stopping.reached(self, *args)
-        if self.schedule is None or found in (None, "budget", "time") or self.schedule.is_finest:
-            return found
-        self.schedule.step_up(larger=True)
-        return None
-
-
-class WorkersAsked:
+class WorkersAsked(Workers):
     """Workers whose every render is asked for as a schedule says, and counted."""
 
     def __init__(self, workers: Workers, schedule: Schedule) -> None:
-        self._workers, self._schedule = workers, schedule
+        self._workers, self._schedule, self.number = workers, schedule, workers.number
         self._asked: dict[Task, tuple[int, int]] = {}
-        self.number = workers.number
+        self.began, self.close = workers.began, workers.close  # type: ignore[method-assign]
 
     @property
     def usable(self) -> int:
@@ -145,15 +116,7 @@ class WorkersAsked:
         self._schedule.pay(*fineness)
         return replace(self._workers.outcome(task), fineness=fineness)
 
-    def began(self, task: Task) -> float | None:
-        """As of the workers."""
-        return self._workers.began(task)
-
     def abandon(self, task: Task) -> None:
         """As of the workers."""
         self._schedule.pay(*self._asked.pop(task))
         self._workers.abandon(task)
-
-    def close(self) -> None:
-        """As of the workers."""
-        self._workers.close()

@@ -14,7 +14,7 @@ import numpy as np
 
 from fide_plugins.errors import ImageError, ValueRangeError
 from fide_plugins.fitting.around_answer import MOST_NUMBERS, numbers, std_around
-from fide_plugins.fitting.callbacks import Callbacks, Event, Run, reporting
+from fide_plugins.fitting.callbacks import Callbacks, Event, reporting
 from fide_plugins.fitting.failures import (
     CallbackError,
     EvaluationError,
@@ -22,16 +22,16 @@ from fide_plugins.fitting.failures import (
     FitError,
     suspicion_of,
 )
-from fide_plugins.fitting.fidelity import StoppingFine, WorkersAsked
+from fide_plugins.fitting.fidelity import WorkersAsked
 from fide_plugins.fitting.loop import Loop
-from fide_plugins.fitting.pictures import as_compared, as_told, best_compared, canonical, shown
+from fide_plugins.fitting.pictures import as_compared, as_told, canonical, shown
 from fide_plugins.fitting.planning import Planner
-from fide_plugins.fitting.rendering import Failed, Outcome, Renderer
-from fide_plugins.fitting.result import Result, histories
+from fide_plugins.fitting.rendering import Failed, Outcome, Renderer, Workers
+from fide_plugins.fitting.result import Result, result_of
 from fide_plugins.fitting.saved_run import SavedRun, Unsaved
 from fide_plugins.fitting.schedule import Schedule
 from fide_plugins.fitting.stopping import Stopping
-from fide_plugins.fitting.workers import Workers, gathered
+from fide_plugins.fitting.workers import gathered
 from fide_plugins.recording.directory import note_unsaved
 from fide_plugins.recording.record import Record
 from fide_plugins.recording.signals import Interrupted, Interrupts
@@ -41,8 +41,6 @@ from fide_plugins.uncertainty.at_answer import AtAnswer
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
     from fide_plugins.types import Float64, Solution
-
-__all__ = ["FitInterrupted", "Fitting"]
 
 _MORE = 10  # one part in so many: renders beyond the budget
 _SHOW_INTERVAL = 0.1  # seconds between two reports of a search that goes on
@@ -95,10 +93,10 @@ class Fitting:
             else:
                 schedule.load_state_dict(self.record.fineness)
             self._workers = WorkersAsked(workers, schedule)
-            self._stopping = StoppingFine.around(stopping, schedule)
+            self._stopping = replace(stopping, schedule=schedule)
         self._pool, self._planner = workers, None
-        if stopping.seconds is not None and not self.record.evaluations:
-            self._planner = Planner(stopping.seconds, workers.number, optimizer.views.views)
+        if stopping.seconds is not None and schedule and not self.record.evaluations:
+            self._planner = Planner(stopping.seconds, workers.number)
 
     def execute(self) -> Result:
         """Fit until a rule says stop; raises what `fit` does, after saving what was computed."""
@@ -126,8 +124,6 @@ class Fitting:
         """Search; returns why the search has ended."""
         loop = self._loop
         loop.stopped = loop.over()
-        if loop.stopped is None and self._callbacks.call("on_start", self._as_run()):
-            loop.stopped = "callback"
         if self._planner and self._schedule and loop.stopped is None:
             with interrupts.stoppable():
                 self._planner.measure(self.optimizer, self._schedule, self._pool, self._timeout)
@@ -139,10 +135,9 @@ class Fitting:
 
     def _judge(self) -> None:
         """Render the best candidate as finely as possible, where that was not done."""
-        if self._schedule is None or (X := self._schedule.rise_to_finest()) is None:
-            return
-        for outcome in gathered(self._workers, X, self._timeout):
-            self.tell(X, outcome)
+        if self._schedule is not None and (X := self._schedule.rise_to_finest()) is not None:
+            for outcome in gathered(self._workers, X, self._timeout):
+                self.tell(X, outcome)
 
     # -- steps of the loop -------------------------------------------------------------------------
 
@@ -171,8 +166,6 @@ class Fitting:
             self._withdraw(X, outcome)
             return False
         self._render_seconds += outcome.seconds
-        if self._planner and not self._schedule and self._planner.note(outcome.seconds):
-            self._planner.show(self._report is not None)
         lost = self._is_lost
         try:
             loss = self._evaluate(X, as_told(self.optimizer, outcome.image))
@@ -202,7 +195,7 @@ class Fitting:
             self._schedule.note(X[0], loss, spent=spent, left=left - self._loop.busy)
         self._failures.note_image()
         if self._callbacks:
-            self._call_back(X[0], image, loss, improved)
+            self._call_back(X[0], image, loss)
         return improved
 
     def _withdraw(self, X: Float64, failed: Failed) -> None:
@@ -231,7 +224,7 @@ class Fitting:
             ) from error
         return float(losses[0])
 
-    def _call_back(self, x: Float64, image: Any, loss: float, improved: bool) -> None:
+    def _call_back(self, x: Float64, image: Any, loss: float) -> None:
         event = Event(
             evaluation=self.record.evaluations - 1,
             x=x,
@@ -243,8 +236,7 @@ class Fitting:
             failures=self._failures.count,
             optimizer=self.optimizer,
         )
-        stops = self._callbacks.call("on_evaluation", event)
-        if stops | (improved and self._callbacks.call("on_improvement", event)):
+        if self._callbacks.call("on_evaluation", event):
             self._loop.stopped = "callback"
 
     def show(self, last: bool) -> None:
@@ -347,40 +339,24 @@ class Fitting:
 
     def _result(self, stopped: str) -> Result:
         loop, optimizer, solutions = self._loop, self.optimizer, self._solutions
-        best = solutions[0] if solutions else None
-        validity = optimizer.validity
         self._note_pending()
         searched = max(loop.search_ended - loop.search_began, 1e-9)
-        record = self.record if loop.whole else None
-        adapts = optimizer.evaluator.comparison is not None
-        compared = best_compared(optimizer) if adapts else None
-        return Result(
-            best=best,
-            params=None if best is None else self._renderer.params(best.x),
-            solutions=solutions,
-            status=optimizer.status,
-            target=optimizer.target,
-            weights=optimizer.weights,
-            loss=optimizer.evaluator.loss.name,
+        record, validity = self.record if loop.whole else None, optimizer.validity
+        return result_of(
+            optimizer,
+            self.record,
+            solutions,
+            params=self._renderer.params(solutions[0].x) if solutions else None,
             failures=self._failures.count,
             rejected=None if validity is None else validity.share_rejected,
             first_failure=self._failures.first,
             busy=min(1.0, self._render_seconds / searched / max(1, self._workers.number)),
             stopped=stopped,
             out=None if self.saved is None else self.saved.path,
-            clipped=optimizer.clipped,
-            value_range=optimizer.value_range,
             std_renders=self._std_renders,
             plan=() if self._planner is None else tuple(self._planner.lines),
-            compared=None if compared is None else shown(optimizer, compared),
             unsaved=Unsaved(optimizer, record, self._plan, stopped, solutions),
-            **histories(self.record, optimizer.dim),
         )
-
-    def _as_run(self) -> Run:
-        out = None if self.saved is None else self.saved.path
-        budget, done = self._stopping.budget, self.record.evaluations
-        return Run(self.optimizer, self._workers.number, budget, done, out)
 
 
 def _with_result(error: BaseException, result: Result) -> BaseException:

@@ -1,7 +1,6 @@
 """The loop of `fit` and of the runs of the lab: ask, render, tell, record, until a rule says stop.
 
-With one worker the candidate that is asked knows all that was rendered: the same seed gives the
-same fit, that of ``x = opt.ask(1); opt.tell(x, [render(x)])``.
+With one worker, the same seed gives the fit of ``x = opt.ask(1); opt.tell(x, [render(x)])``.
 """
 
 from __future__ import annotations
@@ -16,15 +15,13 @@ from typing import Any, Protocol
 import numpy as np
 
 from fide_plugins.fitting.failures import GivenUpError
-from fide_plugins.fitting.rendering import Failed, Task
+from fide_plugins.fitting.rendering import Failed, Task, Workers
 from fide_plugins.fitting.stopping import Stopping
-from fide_plugins.fitting.workers import LOOK, Workers, late
+from fide_plugins.fitting.workers import LOOK, late
 from fide_plugins.recording.directory import CheckpointTimer
 from fide_plugins.recording.record import Record
 from fide_plugins.recording.signals import Interrupts
 from fide_plugins.types import Float64, Optimizer
-
-__all__ = ["Loop", "Steps"]
 
 _LONGEST = 86400.0  # seconds of one waiting; the system takes no longer ones than 292 years
 

@@ -29,8 +29,6 @@ from fide_plugins.space import Space
 from fide_plugins.validation.options import check_names, positive_fraction, seconds_of, switch
 from fide_plugins.validation.points import number_of_parameters, whole_number
 
-__all__ = ["fit", "prepare"]
-
 _GIVEN = ("self", "dim", "target", "seed")  # arguments of the optimizer that the fit gives it
 
 

@@ -8,21 +8,10 @@ import numpy as np
 
 from fide_plugins.errors import ImageError
 from fide_plugins.types import Float32
-from fide_plugins.validation.pixels import Clipping
+from fide_plugins.validation.values import Clipping
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
-
-__all__ = [
-    "as_compared",
-    "as_told",
-    "best_compared",
-    "canonical",
-    "counting",
-    "picture",
-    "shown",
-    "side_by_side",
-]
 
 
 def as_told(optimizer: FIDE, image: Any) -> Any:

@@ -4,23 +4,16 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from fide_plugins.fitting.rendering import Rendered
+from fide_plugins.fitting.rendering import Rendered, Workers
 from fide_plugins.fitting.schedule import SHARE, Schedule
-from fide_plugins.fitting.workers import Workers, gathered
+from fide_plugins.fitting.workers import gathered
 from fide_plugins.runtime.messages import duration
-from fide_plugins.views import View
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
 
-__all__ = ["Planner"]
-
-_ENOUGH = 4  # renders that say what one takes, where sizes are not compared
 _CHEAPER = 0.7  # of the time of the next size: a smaller one that takes more is left out
 _OWN = 0.001  # seconds that the optimizer takes for a candidate
 _TO_LEARN = 100_000  # renders
@@ -32,11 +25,9 @@ class Planner:
     lines: of the plan, three; none before it is made.
     """
 
-    def __init__(self, seconds: float, number: int, views: Sequence[View]) -> None:
+    def __init__(self, seconds: float, number: int) -> None:
         self.lines: list[str] = []
         self._seconds, self._workers = seconds, max(1, number)
-        self._sizes = sorted({view.size for view in views})
-        self._told: list[float] = []
 
     def measure(
         self, optimizer: FIDE, schedule: Schedule, workers: Workers, timeout: float | None
@@ -67,15 +58,6 @@ class Planner:
             first += f"; not {', '.join(out)}, which save no time"
         schedule.keep(kept)
         self._make(first, took[kept[0]], took[kept[-1]])
-
-    def note(self, seconds: float) -> bool:
-        """Note what a render took, where there is nothing to choose; whether the plan is made."""
-        self._told.append(seconds)
-        if len(self._told) != _ENOUGH:
-            return False
-        each = float(np.median(self._told))
-        self._make(f"pictures of {_pixels(self._sizes)} pixels ({duration(each)})", each, each)
-        return True
 
     def show(self, wanted: bool) -> None:
         """Print the plan to standard error, where that is wanted."""

@@ -1,7 +1,6 @@
 """Processes of our own that render, each of which can be killed without harm to the others.
 
-Each worker is a `ProcessPoolExecutor` of one process, a group of its own, started afresh
-(`spawn`) without the user's script, whose functions travel by value; it ends with this process.
+Each is a `ProcessPoolExecutor` of one process, a group of its own, started without the script.
 """
 
 from __future__ import annotations
@@ -21,21 +20,29 @@ from multiprocessing.context import SpawnContext, SpawnProcess
 from types import ModuleType
 from typing import Any
 
-from fide_plugins.fitting.rendering import Failed, Outcome, Portable, Task, restored, unpack
+from fide_plugins.fitting.rendering import (
+    Failed,
+    Outcome,
+    Portable,
+    Task,
+    Workers,
+    restored,
+    unpack,
+)
 from fide_plugins.renderers.child import use_folder
 
 _START_LIMIT = 60.0  # seconds to start a worker, after which the clock of its render runs
 _STARTING = threading.Lock()
 
 
-class Processes:
+class Processes(Workers):
     """Worker processes; `number` of them, started when they are first needed.
 
     Raises what the renderer raises if it cannot be pickled.
     """
 
     def __init__(self, renderer: Callable[[Any], Outcome], number: int) -> None:
-        self.number = self.usable = number
+        self.number = number
         self._portable = Portable.of(renderer)
         self._workers: list[_Worker] = []
         self._of: dict[Task, _Worker] = {}

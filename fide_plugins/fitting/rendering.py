@@ -20,7 +20,7 @@ from fide_plugins.errors import ImageError, RenderError
 from fide_plugins.space import Space
 from fide_plugins.types import Float64
 from fide_plugins.validation.image_files import read_pixels
-from fide_plugins.validation.pixels import is_path, is_pil
+from fide_plugins.validation.images import is_path, is_pil
 
 _T = TypeVar("_T")
 _BROKEN = (
@@ -59,6 +59,22 @@ class Failed:
     broken: bool = False
     killed: bool = False
     fineness: Any = None
+    params: Any = None
+    """Argument of the user's function, where this is told to the user."""
+
+    def __str__(self) -> str:
+        return "\n".join(filter(None, [self.reason, self._call, self.details]))
+
+    @property
+    def brief(self) -> str:
+        """The same with the last line of a traceback, or of a program's output, only."""
+        end = self.details.rpartition("\n")[2].strip()
+        told = self.reason if not end or end in self.reason else f"{self.reason}: {end}"
+        return "\n".join(filter(None, [told, self._call]))
+
+    @property
+    def _call(self) -> str:
+        return "" if self.names_params else f"render({self.params})"
 
     @classmethod
     def by(cls, error: BaseException) -> Failed:
@@ -90,6 +106,34 @@ class Failed:
 Outcome: TypeAlias = Rendered | Failed
 Task: TypeAlias = "Future[Outcome]"
 """A render that was begun, or will be as soon as a worker is free."""
+
+
+class Workers:
+    """Renders candidates, `number` at a time; the others of this base stop no render."""
+
+    number: int = 1
+
+    @property
+    def usable(self) -> int:
+        """How many can render: all but those that hang and cannot be killed."""
+        return self.number
+
+    def submit(self, x: Any) -> Task:
+        """Render the point x (d,), or whatever the renderer takes."""
+        raise NotImplementedError
+
+    def outcome(self, task: Task) -> Outcome:
+        """What a task that is done has given, or what went wrong."""
+        return task.result()
+
+    def began(self, task: Task) -> float | None:
+        """Time of `time.monotonic` when the render began; None if it waits for its worker."""
+
+    def abandon(self, task: Task) -> None:
+        """Stop a render that takes too long; where that is impossible, forget it."""
+
+    def close(self) -> None:
+        """Stop all renders, and give back what was taken for them."""
 
 
 def attempt(

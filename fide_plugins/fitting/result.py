@@ -5,30 +5,32 @@ from __future__ import annotations
 import os
 import shutil
 from base64 import b64encode
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fide_plugins.errors import FideError
-from fide_plugins.fitting.pictures import counting, side_by_side
+from fide_plugins import encoders
+from fide_plugins.errors import FideError, OptionError
+from fide_plugins.fitting.pictures import best_compared, counting, shown, side_by_side
 from fide_plugins.recording.directory import is_of_a_run, results_in
 from fide_plugins.recording.figures import GAIN, Panel, as_png, difference, thumbnail
 from fide_plugins.recording.parameters import ROUGH, described, is_rough, rows
 from fide_plugins.recording.record import Record, best_so_far
 from fide_plugins.recording.storage import RunDirectoryError, is_saved, read_run, with_optimizer
 from fide_plugins.renderers import naming
+from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.messages import cut
-from fide_plugins.validation.pixels import ValueRange
+from fide_plugins.validation.values import ValueRange
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from fide_plugins.fide import FIDE
-    from fide_plugins.fitting.failures import Failure
+    from fide_plugins.fitting.rendering import Failed
     from fide_plugins.fitting.saved_run import Unsaved
     from fide_plugins.status import Status
     from fide_plugins.types import Float32, Float64, Indices, Solution
@@ -55,6 +57,7 @@ class Result:
     stopped: why it ended: "solved", "noise", "stalled" (see `fit`), "budget", "time", "stop_at",
         "callback", "interrupted" or "failed"; of a run that was read also "running", "finished".
     out: run directory; None without.
+    optimizer: goes on where the fit has ended.
     cost: of all renders, in full ones, by pixels times samples; see `Fidelity`.
     plan: three lines on how a fit with a `time` was to spend it; none without, and when resumed.
     std_renders: renders around the answer, beside the evaluations, from which `best.std` is
@@ -77,12 +80,13 @@ class Result:
     path: Float64
     evaluations: int
     failures: int
-    first_failure: Failure | None
+    first_failure: Failed | None
     seconds: float
     busy: float
     stopped: str
     out: Path | None
     cost: float
+    optimizer: FIDE
     std_renders: int = 0
     plan: tuple[str, ...] = ()
     clipped: int = 0
@@ -91,20 +95,10 @@ class Result:
     rejected: float | None = None
     compared: Any = None
 
-    @cached_property
-    def optimizer(self) -> Any:
-        """A `FIDE` that goes on where the fit has ended; None where it was not FIDE, or not kept.
-
-        Raises CheckpointError (a ValueError): damaged, or it needs an encoder of the user's.
-        """
-        if self.unsaved is not None:
-            return self.unsaved.optimizer
-        return None if self.out is None else optimizer_in(self.out)
-
     @property
     def residual(self) -> Any:
-        """What is left, (H, W) in [0, 1], see `FIDE.residual`; None without `optimizer`."""
-        return None if self.optimizer is None else self.optimizer.residual
+        """What is left, (H, W) in [0, 1], see `FIDE.residual`."""
+        return self.optimizer.residual
 
     def plot(self) -> Figure:
         """Figure of matplotlib: target, best image, difference (four times as strong), losses.
@@ -123,17 +117,31 @@ class Result:
         Raises FideError if `path` holds another run, or if the optimizer went on since; OSError.
         """
         if self.out is not None:
-            copy_run(self.out, Path(path))
+            to = Path(path)
+            if (to / "run.json").exists() or results_in(to):
+                raise RunDirectoryError(f"{to} holds a run already; name another directory")
+            to.mkdir(parents=True, exist_ok=True)
+            files = [file for file in self.out.iterdir() if is_of_a_run(file.name)]
+            for file in sorted(files, key=lambda file: file.name == "run.json"):  # it last
+                if file.is_file() and not file.is_symlink():
+                    shutil.copyfile(file, to / file.name)
         elif self.unsaved is not None:
             self.unsaved.write(path)
         else:
             raise FideError("this result has neither a run directory nor an optimizer")
 
+    @property
+    def facts(self) -> str:
+        """In one line: renders, seconds, why it ended, what failed."""
+        facts = f"{self.evaluations:,} renders in {self.seconds:.1f} s"
+        facts += f", as dear as {self.cost:,.0f} full ones" * (self.cost != self.evaluations)
+        facts += f", stopped: {self.stopped}"
+        facts += f", {self.failures:,} renders failed" * bool(self.failures)
+        facts += f", {self.clipped:,} images clipped" * bool(self.clipped)
+        rejected = f", {self.rejected or 0:.0%} of the candidates rejected by constraints"
+        return facts + rejected * bool(self.rejected)
+
     def __repr__(self) -> str:
-        failed = f", {self.failures:,} renders failed" if self.failures else ""
-        failed += f", {self.clipped:,} images clipped" if self.clipped else ""
-        if self.rejected:
-            failed += f", {self.rejected:.0%} of the candidates rejected by constraints"
         loss = "none" if self.best is None else f"{self.best.loss:.6g}"
         params = f"dim={self.path.shape[1]}"
         if isinstance(self.params, dict) and self.best is not None:
@@ -142,8 +150,7 @@ class Result:
             rough = f" ({ROUGH})" if is_rough(self.best) and "±" in text else ""
             params = cut(text, 400) + rough
         lines = [
-            f"Result(best loss {loss} after {self.evaluations:,} evaluations, "
-            f"{self.seconds:.1f} s{failed}; stopped: {self.stopped}",
+            f"Result(best loss {loss}; {self.facts}",
             f"params: {params}",
             f"solutions: {len(self.solutions)}",
             str(self.status),
@@ -165,12 +172,8 @@ class Result:
         )
         more = f"<p>... {len(table) - _MOST} more</p>" if len(table) > _MOST else ""
         more += f"<p>{ROUGH}</p>" if best is not None and is_rough(best) else ""
-        facts = f"{self.evaluations:,} renders in {self.seconds:.1f} s"
-        facts += f", as dear as {self.cost:,.0f} full ones" * (self.cost != self.evaluations)
-        facts += f", stopped: {self.stopped}"
-        facts += f", {self.failures:,} renders failed" if self.failures else ""
         return (
-            f"<div><p><b>{escape(str(self.status))}</b><br>{escape(facts)}</p>"
+            f"<div><p><b>{escape(str(self.status))}</b><br>{escape(self.facts)}</p>"
             '<div style="display:flex;flex-wrap:wrap;gap:8px;align-items:flex-end">'
             f"{''.join(map(_picture, self._panels()))}</div><table>{cells}</table>{more}</div>"
         )
@@ -192,18 +195,30 @@ class Result:
         return panels
 
 
-def histories(record: Record, dim: int) -> dict[str, Any]:
-    """What a result has of the record of a run of `dim` parameters."""
-    losses = np.array(record.losses, np.float64)
-    return {
-        "curve": np.stack([np.arange(1.0, len(losses) + 1), best_so_far(losses)], axis=1),
-        "losses": losses,
-        "improved_at": np.array(record.improvements, np.intp),
-        "path": np.array(record.path).reshape(len(record.path), dim),
-        "evaluations": record.evaluations,
-        "cost": record.cost,
-        "seconds": record.wall_s,
-    }
+def result_of(optimizer: FIDE, record: Record, solutions: list[Solution], **known: Any) -> Result:
+    """Result of what an optimizer and the record of its run know; known: all else."""
+    losses, adapts = np.array(record.losses, np.float64), optimizer.evaluator.comparison is not None
+    compared = best_compared(optimizer) if adapts else None
+    return Result(
+        best=solutions[0] if solutions else None,
+        solutions=solutions,
+        status=optimizer.status,
+        target=optimizer.target,
+        weights=optimizer.weights,
+        curve=np.stack([np.arange(1.0, len(losses) + 1), best_so_far(losses)], axis=1),
+        losses=losses,
+        loss=optimizer.evaluator.loss.name,
+        improved_at=np.array(record.improvements, np.intp),
+        path=np.array(record.path).reshape(len(record.path), optimizer.dim),
+        evaluations=record.evaluations,
+        seconds=record.wall_s,
+        cost=record.cost,
+        optimizer=optimizer,
+        clipped=optimizer.clipped,
+        value_range=optimizer.value_range,
+        compared=None if compared is None else shown(optimizer, compared),
+        **known,
+    )
 
 
 _SIDE, _WIDE = 160, 480  # pixels of a picture: its longer side; of several views side by side
@@ -223,27 +238,34 @@ def _picture(panel: Panel) -> str:
     )
 
 
-def optimizer_in(path: Path) -> FIDE | None:
-    """The optimizer of the run in a folder; None without a checkpoint, or if it is not FIDE's.
-
-    Raises CheckpointError (a ValueError), OSError.
-    """
+def opened(
+    directory: str | os.PathLike[str], encoder: Callable[..., object] | None = None
+) -> tuple[Path, dict[str, Any], FIDE]:
+    """The folder of a run of FIDE, its `run.json`, and the optimizer; raises as `load_run`."""
     from fide_plugins.fide import FIDE
 
+    path = Path(directory)
     run = read_run(path)
-    if run is None or run["settings"].get("optimizer") != "fide" or not is_saved(path):
-        return None
-    return with_optimizer(path, FIDE.load)
+    if run is None:
+        raise OptionError(f"{path} is no run directory; give one that fide fit or fide run wrote")
+    if (name := run["settings"].get("optimizer")) != "fide":
+        raise OptionError(
+            f"{path} is a run of {name}, which keeps one solution: its best; only fide knows more"
+        )
+    if not is_saved(path):
+        raise RunDirectoryError(
+            f"{path} has no checkpoint, in which the result is; runs of a comparison keep none"
+        )
 
+    def load(file: Path) -> FIDE:
+        settings: Any = checkpoint.read(file, "fide").get("settings")
+        name = settings.get("encoder") if isinstance(settings, dict) else None
+        own = isinstance(name, str) and name.partition(":")[0] not in encoders.names()
+        if own and encoder is None:
+            raise OptionError(
+                f"{path} is a run with an encoder of your own, {name!r}; give it again: encoder=, "
+                f"in the shell --encoder FILE.py:{name}"
+            )
+        return FIDE.load(file, encoder=encoder)
 
-def copy_run(source: Path, to: Path) -> None:
-    """Copy the files of a run into a folder without one.
-
-    Raises RunDirectoryError (a FileExistsError) if there is one; OSError.
-    """
-    if (to / "run.json").exists() or results_in(to):
-        raise RunDirectoryError(f"{to} holds a run already; name another directory")
-    to.mkdir(parents=True, exist_ok=True)
-    for file in sorted(source.iterdir(), key=lambda file: file.name == "run.json"):  # it last
-        if is_of_a_run(file.name) and file.is_file() and not file.is_symlink():
-            shutil.copyfile(file, to / file.name)
+    return path, run, with_optimizer(path, load)

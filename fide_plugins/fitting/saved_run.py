@@ -5,35 +5,27 @@ from __future__ import annotations
 import hashlib
 import math
 import os
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack, closing, suppress
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fide_plugins.errors import FideError, ImageError, OptionError
+from fide_plugins.errors import OptionError
 from fide_plugins.fide import FIDE
 from fide_plugins.fitting.pictures import best_compared, counting, picture, shown, side_by_side
-from fide_plugins.fitting.result import Result, histories, optimizer_in
+from fide_plugins.fitting.result import Result, opened, result_of as found_by
 from fide_plugins.recording.directory import RunDirectory, try_each
-from fide_plugins.recording.parameters import read_solutions, solutions_as_data
+from fide_plugins.recording.parameters import solutions_as_data, with_std
 from fide_plugins.recording.record import Record, RunResult, Verdict, result_of
-from fide_plugins.recording.storage import RunDirectoryError, is_saved, read_record, read_run
-from fide_plugins.runtime import files
+from fide_plugins.recording.storage import RunDirectoryError, impossible, read_record, read_run
 from fide_plugins.runtime.registry import own_name
-from fide_plugins.runtime.schema import IMPOSSIBLE
-from fide_plugins.space import Space
-from fide_plugins.status import Status
 from fide_plugins.types import Float32, Solution
-from fide_plugins.validation import image_files, images
-from fide_plugins.validation.pixels import ValueRange, restored, value_range_of
 
 _CONTENTS = ("mask", "weights", "value_range")
 """Options that are recorded by what they are, not as they are given."""
-_ADAPTS = ("photo", "photometric", "robust", "background")
-"""Options with which images are not compared as they are."""
 
 
 class SavedRun:
@@ -240,127 +232,36 @@ def _digest(array: Any) -> str:
     return hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest()[:16]
 
 
-def load_run(directory: str | os.PathLike[str]) -> Result:
-    """Result of the run in a directory that `fit`, `fide fit` or `fide run` wrote.
+def load_run(
+    directory: str | os.PathLike[str], encoder: Callable[..., object] | None = None
+) -> Result:
+    """Result of the run of FIDE in a directory that `fit`, `fide fit` or `fide run` wrote.
 
     It may be finished, interrupted or under way: the newest checkpoint counts.  Nothing in the
-    directory is executed, so it may be anybody's.
+    directory is executed, so it may be anybody's.  encoder: the user's own, if it has one.
 
-    Raises OptionError for a directory without a run; RunDirectoryError (a FileExistsError) if its
-    record is damaged or no checkpoint is there, as of runs of a comparison; CheckpointError for a
-    damaged checkpoint; ImageError for a damaged picture; OSError.
+    Raises OptionError for a directory without a run, for another optimizer, and where the encoder
+    must be given; RunDirectoryError (a FileExistsError) if its record is damaged or no checkpoint
+    is there, as of runs of a comparison; CheckpointError for a damaged checkpoint; OSError.
     """
-    path = Path(directory)
-    run = read_run(path)
-    if run is None:
-        raise OptionError(f"{path} is no run directory; give one that fit(out=) or fide fit wrote")
-    if not is_saved(path):
-        raise RunDirectoryError(
-            f"{path} has no checkpoint yet, or kept none, as runs of a comparison: no result to "
-            "read; look at its summary.png and curve.csv"
-        )
-    try:
-        return _read(path, run)
-    except (FideError, OSError):
-        raise
-    except IMPOSSIBLE as error:
-        raise RunDirectoryError(
-            f"{path / 'run.json'} has impossible contents ({error}); copy that file back"
-        ) from error
-
-
-def _read(path: Path, run: dict[str, Any]) -> Result:
-    settings = run["settings"]
-    dim = int(settings["dim"])
-    space = None if settings.get("space") is None else Space.from_dict(settings["space"])
-    views, values = settings.get("views"), value_range_of(settings.get("value_range"))
-    if isinstance(values, str):
-        raise TypeError(f"the range of values is {values!r}")
-    record, _ = read_record(path, dim, settings["size"])
-    totals = run.get("totals")
-    if run.get("state") == "running" or not isinstance(totals, dict):
-        totals = {}
-    if totals.get("evaluations") != record.evaluations:  # they are those of an earlier call
-        totals = {}
-    solutions, status, weights = _known(path, settings, totals, space)
-    best = None
-    if record.x_best is not None:
-        known = next((one for one in solutions if np.array_equal(one.x, record.x_best)), None)
-        best = Solution(
-            record.x_best,
-            record.best_loss,
-            record.best_evaluation,
-            None if record.image is None else restored(unpacked(record.image, views), values),
-            None if known is None else known.probability,
-            space,
-            None if known is None else known.estimate,
-        )
-    adapts = any((settings.get("options") or {}).get(name) for name in _ADAPTS)
-    return Result(
-        best=best,
-        params=None if best is None else best.params or totals.get("params") or best.x.copy(),
-        solutions=solutions if best is None else [best, *solutions[1:]],
-        status=status,
-        target=_picture(path, "target", views, values),
-        weights=weights,
-        loss=str(settings.get("loss")),
+    path, run, optimizer = opened(directory, encoder)
+    settings, totals = run["settings"], run.get("totals")
+    with impossible(path / "run.json", RunDirectoryError):
+        record, _ = read_record(path, int(settings["dim"]), settings["size"])
+        solutions = with_std(optimizer.solutions(), run)
+        state = "running" if run["state"] == "running" else run.get("stopped", run["state"])
+        params = totals.get("params") if isinstance(totals, dict) else None
+    best = optimizer.best
+    if best is not None:
+        params = best.params or params or best.x.copy()  # a task has a space that FIDE lacks
+    return found_by(
+        optimizer,
+        record,
+        solutions,
+        params=params,
         failures=record.failures,
-        clipped=int(totals.get("clipped", 0)),
-        value_range=None if values is None else (values.low, values.high),
         first_failure=None,
-        compared=_picture(path, "best", views, values) if adapts and best is not None else None,
         busy=math.nan,
-        stopped=str((totals and run.get("stopped")) or run.get("state")),
+        stopped=str(state),
         out=path,
-        **histories(record, dim),
     )
-
-
-def _known(
-    path: Path, settings: dict[str, Any], totals: dict[str, Any], space: Space | None
-) -> tuple[list[Solution], Status, Any]:
-    """Solutions, status and weights: of the totals, else of the optimizer."""
-    solutions = read_solutions(totals.get("solutions", []), int(settings["dim"]), space)
-    status = Status("unknown", "What the optimizer knew of the run is not recorded.")
-    if "status" in totals:
-        status = Status(totals["status"], totals["sentence"])
-        if not isinstance(status.sentence, str):
-            raise TypeError(f"a sentence is {status.sentence!r}")
-    if not solutions or settings.get("weights") is not None:
-        with suppress(FideError):  # it needs an encoder of the user's
-            optimizer = optimizer_in(path)
-            if optimizer is not None:
-                status = status if "status" in totals else optimizer.status
-                return solutions or optimizer.solutions(), status, optimizer.weights
-    return solutions, status, None
-
-
-def unpacked(image: Float32, views: Any) -> Any:
-    """Views of a packed image, as `Views` packs them; views: their sizes, None for one."""
-    if views is None:
-        return image
-    ends = np.cumsum([height * width for height, width in views])
-    parts = np.split(image, ends[:-1])
-    return [part.reshape(*size, 3) for part, size in zip(parts, views, strict=True)]
-
-
-def _picture(path: Path, name: str, views: Any, values: ValueRange | None) -> Any:
-    """A picture of the run, or those of its views, in the user's values."""
-    file = path / f"{name}.tif"
-    if values is None or not file.exists():
-        file = path / f"{name}.png"
-        if file.exists():
-            files.check_regular(file)  # Pillow would wait for a pipe
-        return restored(_cut(images.load(file), views), values)
-    files.check_regular(file)
-    pixels = image_files.read_pixels(file, None, raw=True)
-    if pixels.dtype != np.float32 or pixels.shape[2:] != (3,) or not np.isfinite(pixels).all():
-        raise ImageError(f"{file} is no picture of finite 32-bit floats in RGB; copy it back")
-    return _cut(pixels, views)
-
-
-def _cut(picture: Float32, views: Any) -> Any:
-    if views is None:
-        return picture
-    parts = np.split(picture, np.cumsum([width for _, width in views])[:-1], axis=1)
-    return [part[:height] for part, (height, _) in zip(parts, views, strict=True)]

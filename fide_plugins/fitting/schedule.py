@@ -1,8 +1,6 @@
-"""What a fit asks its renderer for next, and when renders become finer.
+"""What a fit asks its renderer for next: samples and size of pictures, and when both rise.
 
-Noise is too strong where it decides the ranks of candidates: where the standard deviation of a loss
-between two renders exceeds half of the spread of a generation's losses.  Pictures are too small
-once the loss is a fraction of the first candidates', and the search narrow or without progress.
+Samples rise where noise decides ranks, sizes where the search sees no more at the present one.
 """
 
 from __future__ import annotations
@@ -20,12 +18,10 @@ from fide_plugins.fitting.pictures import as_told
 from fide_plugins.fitting.rendering import Failed, Outcome, Rendered
 from fide_plugins.runtime.messages import warn_user
 from fide_plugins.types import Float64
-from fide_plugins.validation.pixels import Clipping
+from fide_plugins.validation.values import Clipping
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
-
-__all__ = ["SHARE", "Schedule"]
 
 _RISE = 4  # times as many samples, or pixels
 _PAIRS, _FEWEST_PAIRS, _EVERY = 16, 8, 18  # renders of one candidate twice: kept, needed, one of

@@ -1,7 +1,6 @@
 """When a fit is over; it goes on with ``resume=True`` and a larger number.
 
-`until="solved"`: what is left is nothing that an eye sees, or noise of the target as far as the
-search can tell; "stalled": the same, or nothing more is to be expected; "budget": none of these.
+`until`: "solved", or only noise of the target is left; "stalled": or no progress; "budget".
 """
 
 from __future__ import annotations
@@ -15,12 +14,11 @@ import numpy as np
 from fide_plugins.errors import OptionError
 from fide_plugins.validation.options import seconds_of
 from fide_plugins.validation.points import as_real, whole_number
-from fide_plugins.views.solved import is_solved
+from fide_plugins.views.findings import is_solved
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
-
-__all__ = ["UNTIL", "Stopping"]
+    from fide_plugins.fitting.schedule import Schedule
 
 UNTIL = ("solved", "stalled", "budget")
 _LAST = 1000  # candidates
@@ -35,6 +33,7 @@ class Stopping:
     seconds: float | None = None
     stop_at: float | None = None
     until: str = "solved"
+    schedule: Schedule | None = None  # rules about an answer hold for its finest renders only
 
     @classmethod
     def of(
@@ -65,6 +64,16 @@ class Stopping:
 
         `until` is looked at after each improvement, and after each generation.
         """
+        found = self._reached(losses, seconds, best, improved, optimizer)
+        schedule = self.schedule
+        if schedule is None or found in (None, "budget", "time") or schedule.is_finest:
+            return found
+        schedule.step_up(larger=True)
+        return None
+
+    def _reached(
+        self, losses: Sequence[float], seconds: float, best: float, improved: bool, optimizer: FIDE
+    ) -> str | None:
         if self.budget is not None and len(losses) >= self.budget:
             return "budget"
         if self.seconds is not None and seconds >= self.seconds:

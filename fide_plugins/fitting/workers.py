@@ -10,51 +10,23 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field, replace
 from functools import partial
 from multiprocessing import current_process
-from queue import SimpleQueue
-from typing import Any, ParamSpec, Protocol, TypeAlias, TypeVar
+from typing import Any, TypeAlias
 from weakref import WeakSet
 
 import numpy as np
 
 from fide_plugins.errors import OptionError
 from fide_plugins.fitting.processes import Processes
-from fide_plugins.fitting.rendering import Failed, Outcome, Portable, Task, unpack
+from fide_plugins.fitting.rendering import Failed, Outcome, Portable, Task, Workers, unpack
 from fide_plugins.runtime.machine import cores
 from fide_plugins.runtime.messages import warn_user
 from fide_plugins.types import Float64
-from fide_plugins.validation.pixels import is_pil, is_torch_tensor
+from fide_plugins.validation.images import is_pil, is_torch_tensor
 
 LOOK = 0.25
 """Seconds between two looks at the clocks of renders that may take too long."""
 
 _Renderer: TypeAlias = Callable[[Any], Outcome]
-P = ParamSpec("P")
-T = TypeVar("T")
-
-
-class Workers(Protocol):
-    """Renders candidates, `number` at a time."""
-
-    number: int
-
-    @property
-    def usable(self) -> int:
-        """How many can render: all but those that hang and cannot be killed."""
-
-    def submit(self, x: Any) -> Task:
-        """Render the point x (d,), or whatever the renderer takes."""
-
-    def outcome(self, task: Task) -> Outcome:
-        """What a task that is done has given, or what went wrong."""
-
-    def began(self, task: Task) -> float | None:
-        """Time of `time.monotonic` when the render began; None if it waits for its worker."""
-
-    def abandon(self, task: Task) -> None:
-        """Stop a render that takes too long; where that is impossible, forget it."""
-
-    def close(self) -> None:
-        """Stop all renders, and give back what was taken for them."""
 
 
 def late(workers: Workers, tasks: Iterable[Task], timeout: float | None) -> Task | None:
@@ -69,10 +41,8 @@ def late(workers: Workers, tasks: Iterable[Task], timeout: float | None) -> Task
     return None
 
 
-class InThisProcess:
-    """The process that fits: `submit` returns when the image is there; nothing stops a render."""
-
-    number = usable = 1
+class InThisProcess(Workers):
+    """The process that fits: `submit` returns when the image is there."""
 
     def __init__(self, renderer: _Renderer) -> None:
         self._renderer = renderer
@@ -83,65 +53,33 @@ class InThisProcess:
         task.set_result(self._renderer(x))
         return task
 
-    def outcome(self, task: Task) -> Outcome:
-        """Image, or what went wrong."""
-        return task.result()
-
-    def began(self, task: Task) -> None:
-        """None: it is over."""
-
-    def abandon(self, task: Task) -> None:
-        """Nothing to be done: each render is over."""
-
-    def close(self) -> None:
-        """Nothing was taken."""
-
 
 _GRACE = 1.0  # seconds at the end of the process for renders that are about to return
-_ALL: WeakSet[threading.Thread] = WeakSet()
+_THREADS: WeakSet[threading.Thread] = WeakSet()
 
 
-class DaemonThreads(Executor):
-    """Threads that do not keep the process alive, each started with a job until all are there."""
+def _in_thread(call: Callable[[], Outcome]) -> Task:
+    """Call a function in a thread of its own, which does not keep the process alive."""
+    task: Task = Future()
+    task.set_running_or_notify_cancel()
 
-    def __init__(self, number: int) -> None:
-        self._number = number
-        self._threads: list[threading.Thread] = []
-        self._jobs: SimpleQueue[tuple[Any, ...] | None] = SimpleQueue()
+    def work() -> None:
+        try:
+            task.set_result(call())
+        except BaseException as error:
+            task.set_exception(error)
 
-    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        """Call the function as soon as a thread is free."""
-        future: Future[T] = Future()
-        self._jobs.put((future, partial(fn, *args, **kwargs)))
-        if len(self._threads) < self._number:
-            thread = threading.Thread(target=_work, args=(self._jobs,), daemon=True)
-            self._threads.append(thread)
-            _ALL.add(thread)
-            thread.start()
-        return future
-
-    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """End the threads after their jobs."""
-        for _ in self._threads:
-            self._jobs.put(None)
-
-
-def _work(jobs: SimpleQueue[tuple[Any, ...] | None]) -> None:
-    while (job := jobs.get()) is not None:
-        future, call = job
-        if future.set_running_or_notify_cancel():
-            try:
-                future.set_result(call())
-            except BaseException as error:
-                future.set_exception(error)
-        del job, future, call  # what they hold is not kept while the thread waits
+    thread = threading.Thread(target=work, daemon=True)
+    _THREADS.add(thread)
+    thread.start()
+    return task
 
 
 @atexit.register
 def _wait_a_little() -> None:
     """Wait for renders that return soon: a thread that is stopped inside of a library may crash."""
     over = time.monotonic() + _GRACE
-    for thread in list(_ALL):
+    for thread in list(_THREADS):
         thread.join(max(0.0, over - time.monotonic()))
 
 
@@ -151,17 +89,17 @@ class _Clock:
     began: float | None = None
 
 
-class OfExecutor:
-    """Workers of an executor; own: whether it is closed with them.
+class OfExecutor(Workers):
+    """Workers of an executor; None: threads of this process.
 
     A render in a thread cannot be stopped: after its time-out it is forgotten, and its worker is
     missing until it ends.
     """
 
-    def __init__(self, executor: Executor, renderer: _Renderer, number: int, own: bool) -> None:
+    def __init__(self, executor: Executor | None, renderer: _Renderer, number: int) -> None:
         self.number = number
-        self._executor, self._own = executor, own
-        self._threads = isinstance(executor, ThreadPoolExecutor | DaemonThreads)
+        self._executor = executor
+        self._threads = executor is None or isinstance(executor, ThreadPoolExecutor)
         self._renderer = renderer if self._threads else Portable.of(renderer)
         self._clocks: dict[Task, _Clock] = {}
         self._alive = 0.0  # when a render began or ended last, as far as is known
@@ -176,10 +114,8 @@ class OfExecutor:
     def submit(self, x: Any) -> Task:
         """Render it as soon as a worker is free."""
         clock = _Clock()
-        if self._threads:
-            task: Task = self._executor.submit(_noting, clock, self._renderer, x)
-        else:
-            task = self._executor.submit(self._renderer, x)
+        call = partial(_noting, clock, self._renderer) if self._threads else self._renderer
+        task = self._executor.submit(call, x) if self._executor else _in_thread(partial(call, x))
         self._clocks[task] = clock
         return task
 
@@ -216,8 +152,6 @@ class OfExecutor:
         """Cancel what has not begun; do not wait for what has."""
         for task in (*self._clocks, *self._hanging):
             task.cancel()
-        if self._own:
-            self._executor.shutdown(wait=False)
 
 
 def _noting(clock: _Clock, render: _Renderer, x: Any) -> Outcome:
@@ -225,7 +159,7 @@ def _noting(clock: _Clock, render: _Renderer, x: Any) -> Outcome:
     outcome = render(x)
     if isinstance(outcome, Failed):
         return outcome
-    # the thread gets another candidate before this image is told, and may draw into the same array
+    # the worker gets another candidate before this image is told, and may draw into the same array
     return replace(outcome, image=_copied(outcome.image))
 
 
@@ -268,9 +202,16 @@ def workers_for(
             raise OptionError("timeout needs a worker that can be killed: give workers >= 1")
         return InThisProcess(renderer)
     if executor == "threads":
-        return OfExecutor(DaemonThreads(number), renderer, number, own=True)
+        return OfExecutor(None, renderer, number)
     if executor not in (None, "processes"):
-        return OfExecutor(_as_executor(executor), renderer, number, own=False)
+        if hasattr(executor, "get_executor"):  # Dask's Client; a point may be rendered twice
+            executor = executor.get_executor(pure=False)
+        if not isinstance(executor, Executor):
+            raise OptionError(
+                "executor must be 'processes', 'threads', an executor of concurrent.futures or "
+                f"Dask's Client, not {executor!r}"
+            )
+        return OfExecutor(executor, renderer, number)
     reason = DAEMON
     if not current_process().daemon:
         try:
@@ -283,19 +224,7 @@ def workers_for(
         f"{reason}, so render runs in threads of this one; to silence this, give "
         "executor='threads', or make what it needs inside of it"
     )
-    return OfExecutor(DaemonThreads(number), renderer, number, own=True)
-
-
-def _as_executor(executor: Any) -> Executor:
-    if hasattr(executor, "get_executor"):  # Dask's Client; the same point may be rendered twice
-        executor = executor.get_executor(pure=False)
-    if not hasattr(executor, "submit"):
-        raise OptionError(
-            "executor must be 'processes', 'threads', an executor of concurrent.futures or Dask's "
-            f"Client, not {executor!r}"
-        )
-    made: Executor = executor
-    return made
+    return OfExecutor(None, renderer, number)
 
 
 def gathered(pool: Workers, X: Float64, limit: float | None) -> Iterator[Outcome]:

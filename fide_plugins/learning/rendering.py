@@ -13,8 +13,8 @@ import numpy as np
 
 from fide_plugins.errors import FideError, OptionError, RenderError
 from fide_plugins.fitting.processes import Processes
-from fide_plugins.fitting.rendering import Failed, Outcome, Rendered, Task
-from fide_plugins.fitting.workers import DAEMON, InThisProcess, Workers
+from fide_plugins.fitting.rendering import Failed, Outcome, Rendered, Task, Workers
+from fide_plugins.fitting.workers import DAEMON, InThisProcess
 from fide_plugins.learning.renders import SHARD, BatchRenderer, Pixels, RenderStore, Small
 from fide_plugins.types import Float64
 
@@ -102,7 +102,7 @@ def fill(
     stop = np.inf if seconds is None else time.monotonic() + seconds
     failed: dict[int, int] = {}  # of each shard
     why, equal, first = "", True, np.empty(0, np.uint8)
-    pool = pool_for(renderer, store.size, workers)
+    pool = pool_for(renderer, store.shape[:2], workers)
     try:
         for shard, images in _rendered(store, renderer.name, missing, stop, pool):
             store.write(shard, images)

@@ -127,6 +127,6 @@ def resolve(
 
 register("loi", "fide_plugins.losses.loi:LocallyOrderlessLoss")
 register("lpips", "fide_plugins.losses.lpips:LPIPSLoss")
-register("mse", "fide_plugins.losses.mse:MeanSquaredError")
+register("mse", "fide_plugins.losses.base:MeanSquaredError")
 register("perceptual", "fide_plugins.losses.perceptual:PerceptualLoss")
 register("texture", "fide_plugins.losses.texture:TextureLoss")

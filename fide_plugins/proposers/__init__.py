@@ -2,25 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.options import Options
 from fide_plugins.proposers.base import Proposer
-from fide_plugins.proposers.feature_buffer import MOST, for_jacobian
+from fide_plugins.proposers.feature_buffer import MOST
+from fide_plugins.proposers.forward import GaussNewtonSteps
+from fide_plugins.proposers.linear import LinearProposer
 from fide_plugins.search.cma_es import are_many
 
-if TYPE_CHECKING:
-    from fide_plugins.proposers.forward import GaussNewtonSteps
-
-__all__ = ["Proposer", "channel_subsets", "make_proposer", "make_steps"]
+__all__ = ["Proposer", "make_proposer", "make_steps"]
 
 _MOST_FOR_JACOBIAN = 100  # parameters; every step costs eigenvectors of as many
-
-
-def channel_subsets(options: Options, encoder: PatchEncoder) -> tuple[int | None, ...]:
-    """Sets of leading channels of the tokens: those of the options, or the encoder's own."""
-    return options.channel_subsets or encoder.channel_subsets
 
 
 def make_proposer(
@@ -37,8 +29,6 @@ def make_proposer(
     learned: whether the search begins at hypotheses of a learned model.
     """
     if options.proposer in ("linear", "both"):
-        from fide_plugins.proposers.linear import LinearProposer
-
         enough = 3 * dim // 2 if are_many(dim, popsize) else 0  # for a regression to tell apart
         generations = options.buffer_generations or (4 if dim > popsize else 8)
         remembered = min(max(generations * popsize, enough), MOST)
@@ -46,7 +36,7 @@ def make_proposer(
         return LinearProposer(
             dim,
             capacity=remembered,
-            channel_subsets=channel_subsets(options, encoder),
+            channel_subsets=options.channel_subsets or encoder.channel_subsets,
             minimum=min(2 * popsize, remembered),
             screening=wanted and dim > popsize,
         )
@@ -76,7 +66,5 @@ def make_steps(
     too_many = are_many(dim, popsize) or dim > _MOST_FOR_JACOBIAN
     if options.proposer != "both" or too_many or (learned and not options.photo):
         return None
-    from fide_plugins.proposers.forward import ForwardProposer, GaussNewtonSteps
-
-    channels = channel_subsets(options, encoder)[0]
-    return GaussNewtonSteps(ForwardProposer(dim, for_jacobian(dim), channels, minimum=popsize))
+    channels = (options.channel_subsets or encoder.channel_subsets)[0]
+    return GaussNewtonSteps(dim, channels=channels, minimum=popsize)

@@ -123,9 +123,23 @@ class ImageGate(Stateful):
         self._weight = keep * self._weight + n
 
     def note_ranks(self, losses: Float64, proposed: Mask) -> None:
-        """Note how proposed candidates (k,) of a generation rank, by all its losses (k,)."""
-        if self._rate:
-            self.fraction = adapt_fraction(self.fraction, losses, proposed, self._rate)
+        """Raise `fraction` where proposals rank before samples, lower it where they rank behind.
+
+        losses: (k,) of one generation; proposed: (k,), which of them a proposer made.
+        The change is the rate times the difference of the mean ranks, in units of k / 2; a
+        generation of one kind only says nothing.  Losses that are not finite are tied for the last
+        ranks.
+        """
+        if not self._rate or proposed.all() or not proposed.any():
+            return
+        order = np.argsort(losses, kind="stable")
+        ranks = np.empty(len(losses))
+        ranks[order] = np.arange(len(losses))
+        failed = ~np.isfinite(losses)
+        if failed.any():
+            ranks[failed] = ranks[failed].mean()  # all behind the others, and none before another
+        lead = (ranks[~proposed].mean() - ranks[proposed].mean()) / (len(losses) / 2)
+        self.fraction = float(np.clip(self.fraction + self._rate * lead, _SMALLEST, _LARGEST))
 
 
 def _correlation(u: Float64, v: Float64) -> float:
@@ -136,25 +150,7 @@ def _correlation(u: Float64, v: Float64) -> float:
 
 def _ranks(values: Float64) -> Float64:
     """Ranks (n,) around 0; equal values share their mean."""
-    _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
-    mean: Float64 = np.cumsum(counts) - (counts - 1) / 2 - (len(values) + 1) / 2
-    return mean[inverse]
-
-
-def adapt_fraction(fraction: float, losses: Float64, proposed: Mask, rate: float) -> float:
-    """Raise `fraction` where proposals rank before samples, lower it where they rank behind.
-
-    losses: (k,) of one generation; proposed: (k,), which of them a proposer made.
-    The change is `rate` times the difference of the mean ranks, in units of k / 2; a generation of
-    one kind only says nothing.  Losses that are not finite are tied for the last ranks.
-    """
-    if proposed.all() or not proposed.any():
-        return fraction
-    order = np.argsort(losses, kind="stable")
-    ranks = np.empty(len(losses))
-    ranks[order] = np.arange(len(losses))
-    failed = ~np.isfinite(losses)
-    if failed.any():
-        ranks[failed] = ranks[failed].mean()  # all behind the others, and none before another
-    lead = (ranks[~proposed].mean() - ranks[proposed].mean()) / (len(losses) / 2)
-    return float(np.clip(fraction + rate * lead, _SMALLEST, _LARGEST))
+    ordered = np.sort(values)
+    before, with_equal = np.searchsorted(ordered, values), np.searchsorted(ordered, values, "right")
+    ranks: Float64 = (before + with_equal - len(values)) / 2
+    return ranks

@@ -299,7 +299,7 @@ class RunDirectory:
 
 def _lock(path: Path) -> ExitStack:
     with ExitStack() as lock:
-        if not lock.enter_context(files.locked(path / _LOCK, remove=True)):
+        if not lock.enter_context(files.locked(path / _LOCK)):
             raise RunDirectoryError(
                 f"the run in {path} is under way, in another process or in this one; wait until it "
                 "ends or stop it, and resume then, or name another directory"

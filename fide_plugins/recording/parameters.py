@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -138,33 +138,22 @@ def solutions_as_data(solutions: Sequence[Solution]) -> list[dict[str, Any]]:
     ]
 
 
-def read_solutions(data: Any, dim: int, space: Space | None) -> list[Solution]:
-    """Solutions of `dim` parameters that `solutions_as_data` gave; raises TypeError, ValueError."""
-    if not isinstance(data, list) or not all(isinstance(one, dict) for one in data):
-        raise TypeError("its solutions are no list of objects")
-    return [_solution(one, dim, space) for one in data]
+def with_std(solutions: list[Solution], run: Mapping[str, Any]) -> list[Solution]:
+    """The same, the best one with the standard deviations that its fit has computed at the end.
 
-
-def _solution(data: dict[str, Any], dim: int, space: Space | None) -> Solution:
-    def numbers(name: str) -> Any:
-        if data.get(name) is None:
-            return None
-        array = np.array([math.nan if one is None else float(one) for one in data[name]])
-        if array.shape != (dim,):
-            raise ValueError(f"{name} of a solution has {len(array)} numbers, not {dim}")
-        return array
-
-    x, std, ambiguous = numbers("x"), numbers("std"), numbers("ambiguous")
-    if x is None or not ((x >= 0) & (x <= 1)).all():
-        raise ValueError("x of a solution lies outside of [0, 1]")
-    probability = data.get("probability")
-    return Solution(
-        x,
-        float(data.get("loss", math.nan)),
-        int(data.get("evaluation", -1)),
-        probability=None if probability is None else float(probability),
-        space=space,
-        estimate=Estimated(
-            std, None if ambiguous is None else ambiguous > 0, data.get("rough") is True
-        ),
-    )
+    run: contents of `run.json`; TypeError, ValueError for impossible ones.
+    """
+    kept = (run.get("totals") or {}).get("solutions") or [{}]
+    if not solutions or kept[0].get("x") != solutions[0].x.tolist():
+        return solutions
+    numbers = {}
+    for name in ("std", "ambiguous"):
+        listed = kept[0].get(name)
+        if listed is not None:
+            listed = np.array([math.nan if one is None else float(one) for one in listed])
+            if listed.shape != solutions[0].x.shape:
+                raise ValueError(f"{name} of a solution has {len(listed)} numbers")
+        numbers[name] = listed
+    ambiguous = None if numbers["ambiguous"] is None else numbers["ambiguous"] > 0
+    known = Estimated(numbers["std"], ambiguous, kept[0].get("rough") is True)
+    return [replace(solutions[0], estimate=known), *solutions[1:]]

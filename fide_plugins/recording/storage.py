@@ -1,7 +1,6 @@
 """Files of a run as others read them: its record, its checkpoint.
 
-`run.ckpt` names the file of the optimizer, which is written first, under a new name: so a kill at
-any moment leaves a consistent pair.
+`run.ckpt` names the file of the optimizer, which is written first: any kill leaves a pair.
 """
 
 from __future__ import annotations
@@ -109,7 +108,7 @@ def is_saved(path: str | os.PathLike[str]) -> bool:
 def read_checkpoint(path: Path) -> tuple[Any, str]:
     """State of the `Record` in `run.ckpt`, not checked, and the name of the optimizer's file."""
     state = checkpoint.read(path / CHECKPOINT, _RUN)
-    with _possible(path):
+    with impossible(path / CHECKPOINT):
         name = state["optimizer"]
         if not _OPTIMIZER_FILE.fullmatch(name):
             raise ValueError(f"it names no optimizer's file of the run directory, {name!r}")
@@ -119,7 +118,7 @@ def read_checkpoint(path: Path) -> tuple[Any, str]:
 def read_record(path: Path, dim: int, size: list[int]) -> tuple[Record, Path]:
     """Record of a run of `dim` parameters and images of size (H, W); its optimizer's file."""
     state, name = read_checkpoint(path)
-    with _possible(path):
+    with impossible(path / CHECKPOINT):
         check_record(state, dim, size)
         return Record.from_state(state), path / name
 
@@ -166,9 +165,11 @@ def _remove_optimizers(path: Path, but: str = "") -> None:
 
 
 @contextmanager
-def _possible(path: Path) -> Iterator[None]:
-    """Turn errors of this block, which `run.ckpt` in the folder `path` causes, into one."""
+def impossible(file: Path, kind: type[FideError] = CheckpointError) -> Iterator[None]:
+    """Turn errors of this block, which the contents of a file cause, into one of that kind."""
     try:
         yield
+    except FideError:
+        raise
     except IMPOSSIBLE as error:
-        raise CheckpointError(f"{path / CHECKPOINT}: impossible contents ({error})") from error
+        raise kind(f"{file}: impossible contents ({error}); copy that file back") from error

@@ -1,18 +1,4 @@
-"""A renderer that is a program, run once for each image, and its command line with placeholders.
-
-=====================  =====================================================================
-placeholder            is replaced by
-=====================  =====================================================================
-``{out}``              path of the image to write, which ends with .png
-``{out:.tif}``         the same with another ending
-``{azimuth}``          value of a parameter
-``{azimuth:.3f}``      the same in a format of Python's `format`
-``{beads[0].x}``       a parameter of a group, by its flat name (`Space.names`)
-``{params}``           path of a JSON file with all parameters
-``{width} {height}``   pixels of the image, ``{samples}`` of each pixel, and ``{seed}`` of its
-                       noise: FIDE then asks for as little as the present step needs
-``{{`` and ``}}``      braces
-=====================  =====================================================================
+"""A renderer that is a program, run once for each image; its command line has placeholders.
 
 The template is split into arguments before values are filled in, and there is no shell.
 """
@@ -41,7 +27,7 @@ from fide_plugins.space import Choice, Space
 from fide_plugins.types import Float32
 from fide_plugins.validation.image_files import read_pixels
 from fide_plugins.validation.images import as_target
-from fide_plugins.validation.pixels import Pixels
+from fide_plugins.validation.values import Pixels
 
 TIMEOUT = 60.0
 """Seconds that a render may take, where none are given."""
@@ -238,7 +224,6 @@ class Template:
         """Ending of the image's name."""
         _check_words(self.words, text)
         _check_names(self.used, space, text)
-        _check_suffix(self.suffix)
         for name, spec, conversion in fields:  # each of whose renders would fail
             kind = space.parameters.get(name)
             for value in kind.values if isinstance(kind, Choice) else ():
@@ -257,9 +242,8 @@ class Template:
         for literal, name, spec, conversion in string.Formatter().parse(word):
             filled.append(literal)
             if name is not None:
-                key = _flat_name(name)
-                form = "" if key in _FILES else spec or ""
-                filled.append(_formatted(key, values[key], form, conversion, self.text))
+                form = "" if name in _FILES else spec or ""
+                filled.append(_formatted(name, values[name], form, conversion, self.text))
         return "".join(filled)
 
 
@@ -268,21 +252,7 @@ def _fields(word: str) -> list[tuple[str, str, str | None]]:
     parsed = list(string.Formatter().parse(word))
     if any(spec and "{" in spec for _, _, spec, _ in parsed):
         raise ValueError(f"a placeholder inside another one in {word!r}")
-    return [(_flat_name(name), spec or "", c) for _, name, spec, c in parsed if name is not None]
-
-
-def _flat_name(field: str) -> str:
-    """Flat name of a placeholder, which may also be written beads[0][x].
-
-    >>> _flat_name("beads[0][x]"), _flat_name("beads[0].x"), _flat_name("ball[x]")
-    ('beads[0].x', 'beads[0].x', 'ball.x')
-    """
-    first, *keys = field.replace("]", "").split("[")
-    parts = [first]
-    for key in keys:
-        number, dot, rest = key.partition(".")
-        parts.append(f"[{number}]{dot}{rest}" if number.isdecimal() else f".{key}")
-    return "".join(parts)
+    return [(name, spec or "", c) for _, name, spec, c in parsed if name is not None]
 
 
 def _check_words(words: list[str], text: str) -> None:
@@ -321,16 +291,6 @@ def _check_names(used: set[str], space: Space, text: str) -> None:
         raise OptionError(
             f"the command has no {{out}}, so the image would not be found: {text!r}; put {{out}} "
             "where the program expects the name of the image"
-        )
-
-
-def _check_suffix(suffix: str) -> None:
-    from PIL import Image
-
-    if suffix.lower() not in (*Image.registered_extensions(), ".hdr"):
-        raise OptionError(
-            f"images that end with {suffix!r} cannot be read; write {{out}} for .png, or for "
-            "example {out:.jpg}, {out:.tif}, {out:.ppm}"
         )
 
 

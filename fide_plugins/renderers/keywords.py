@@ -6,8 +6,6 @@ from collections.abc import Callable
 from inspect import Parameter, signature
 from typing import Any
 
-__all__ = ["DEFAULTS", "keywords_of", "missing_from"]
-
 DEFAULTS: dict[str, Any] = {"size": (128, 128), "samples": 16, "seed": 0}
 """Outside of a fit, where the renderer has no default of its own."""
 KEYWORDS = tuple(DEFAULTS)

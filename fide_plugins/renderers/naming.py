@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["described", "flat"]
-
 
 def flat(params: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
     """Pairs of flat names, as `Space.names` has them, and values of nested parameters.

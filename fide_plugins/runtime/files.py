@@ -24,8 +24,6 @@ _SUFFIX = ".tmp"
 _TEMPORARY = re.compile(r"\.(.+)\.[0-9a-f]{12}\.tmp")
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EBADF)
 """Errors of a file system that has no locks; the last one of NFS, for a file opened to be read."""
-_OF_ANOTHER = (errno.EWOULDBLOCK, errno.EACCES)
-"""Errors where another process has the lock."""
 _MOMENT = 0.005  # seconds; `is_locked` has a lock for some microseconds
 
 
@@ -163,27 +161,27 @@ def _sync_folder(folder: Path) -> None:
 
 
 @contextmanager
-def locked(
-    path: str | os.PathLike[str], wait: bool = False, *, remove: bool = False
-) -> Iterator[bool]:
+def locked(path: str | os.PathLike[str], wait: bool = False) -> Iterator[bool]:
     """Lock the file `path`, made if it is missing; yields whether this process holds the lock.
 
-    wait: wait for it.  remove: remove the file at the end.  The system releases the lock when a
-    process ends, however; processes that it has forked do not hold it.  Where there are no such
-    locks (Windows, some network file systems) the result is always True.
+    wait: wait for it.  The system releases the lock when a process ends, however.  Where there are
+    no such locks (Windows, some network file systems) the result is always True.
     """
     if fcntl is None:
         yield True
         return
-    descriptor = _lock(path, wait)
+    descriptor = os.open(path, os.O_CREAT | os.O_RDWR | _NO_LINKS, 0o666)
     try:
-        yield descriptor is not None
+        how = fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB)
+        mine = _flock(descriptor, how)
+        if mine is False:
+            time.sleep(_MOMENT)
+            mine = _flock(descriptor, how)
+        yield mine is not False
     finally:
-        if descriptor is not None:
-            if remove and _is_at(path, descriptor):
-                with suppress(OSError):
-                    os.unlink(path)
-            _release(descriptor)
+        with suppress(OSError):  # also of a forked process, which has the same one
+            fcntl.flock(descriptor, fcntl.LOCK_UN)
+        os.close(descriptor)
 
 
 def is_locked(path: str | os.PathLike[str]) -> bool | None:
@@ -198,61 +196,20 @@ def is_locked(path: str | os.PathLike[str]) -> bool | None:
     except OSError:
         return None
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)  # until it is closed, at once
-        return False
-    except OSError as error:
-        return True if error.errno in _OF_ANOTHER else None
+        free = _flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)  # until it is closed, at once
+        return None if free is None else not free
     finally:
         os.close(descriptor)
 
 
-_HELD: set[int] = set()  # descriptors of the locks of this process
-
-
-def _close_all() -> None:
-    while _HELD:
-        os.close(_HELD.pop())
-
-
-if hasattr(os, "register_at_fork"):  # not on Windows, which has no fork
-    os.register_at_fork(after_in_child=_close_all)
-
-
-def _release(descriptor: int) -> None:
-    if descriptor in _HELD:  # not in a forked process, whose parent has the lock
-        _HELD.remove(descriptor)
-        os.close(descriptor)
-
-
-def _is_at(path: str | os.PathLike[str], descriptor: int) -> bool:
-    """Whether an open file of ours is the one at `path`, and not one that was removed meanwhile."""
+def _flock(descriptor: int, how: int) -> bool | None:
+    """Lock an open file; False: another process has the lock, None: there are no locks."""
     try:
-        return descriptor in _HELD and os.path.samestat(os.fstat(descriptor), os.stat(path))
-    except FileNotFoundError:
+        fcntl.flock(descriptor, how)
+    except OSError as error:
+        if error.errno in _NO_LOCKS:
+            return None
+        if error.errno not in (errno.EWOULDBLOCK, errno.EACCES):
+            raise
         return False
-
-
-def _lock(path: str | os.PathLike[str], wait: bool) -> int | None:
-    """Descriptor of the locked file; None where another process holds the lock."""
-    assert fcntl is not None
-    tries = 2  # for the moment in which `is_locked` has the lock
-    while True:
-        descriptor = os.open(path, os.O_CREAT | os.O_RDWR | _NO_LINKS, 0o666)
-        _HELD.add(descriptor)
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-        except BaseException as error:
-            number = error.errno if isinstance(error, OSError) else None
-            if number in _NO_LOCKS:
-                return descriptor
-            _release(descriptor)
-            tries -= 1
-            if number not in _OF_ANOTHER:
-                raise
-            if not tries:
-                return None
-            time.sleep(_MOMENT)
-            continue
-        if _is_at(path, descriptor):
-            return descriptor
-        _release(descriptor)  # who held the lock before has removed the file
+    return True

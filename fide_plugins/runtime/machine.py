@@ -1,4 +1,4 @@
-"""The machine: hardware, time, what is installed and what to do where it is not, Dask clusters."""
+"""The machine: hardware, what is installed and what to do where it is not."""
 
 from __future__ import annotations
 
@@ -7,13 +7,11 @@ import math
 import os
 import platform
 import sys
-import time
-from collections.abc import Iterator, MutableMapping
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from fide_plugins.errors import DependencyError, OptionError
+from fide_plugins.errors import DependencyError
 
 
 def version_of(package: str) -> str | None:
@@ -76,18 +74,6 @@ def cores(limit: Path = Path("/sys/fs/cgroup/cpu.max")) -> int:
     return max(1, found)
 
 
-@contextmanager
-def timed(times: MutableMapping[str, float], part: str) -> Iterator[None]:
-    """Add the time of this block to `part`, without the time that it adds to other parts.
-
-    A block that raises adds nothing: an error must not change the state.
-    """
-    others, start = sum(times.values()), time.perf_counter()
-    yield
-    elapsed = time.perf_counter() - start
-    times[part] += max(0.0, elapsed - (sum(times.values()) - others))
-
-
 # -- distributions of OpenCV, and extras -----------------------------------------------------------
 
 OPENCV = "opencv-contrib-python-headless"
@@ -136,37 +122,3 @@ def missing(extra: str, what: str, *packages: str) -> DependencyError:
         f"{what}: {install} "
         f"(or this distribution with its extra {extra}: pip install 'fide-plugins[{extra}]')"
     )
-
-
-# -- Dask ------------------------------------------------------------------------------------------
-
-_TIMEOUT = 20.0  # seconds until the scheduler must answer, and until one worker must be there
-
-
-@contextmanager
-def connected(address: str) -> Iterator[Any]:
-    """Client of the cluster whose scheduler has this address; closed at the end.
-
-    Raises DependencyError (an ImportError) without Dask, OptionError (a ValueError) if the
-    scheduler does not answer, there is no worker, or one has several threads: what runs beside
-    something else in one process would share its state, and distort its measured time.
-    """
-    try:
-        from distributed import Client
-    except ImportError as error:
-        raise missing("dask", "--dask needs the package distributed") from error
-    try:
-        client: Any = Client(address, timeout=_TIMEOUT, set_as_default=False)  # type: ignore[no-untyped-call]
-    except (OSError, ValueError, TimeoutError) as error:
-        raise OptionError(f"no Dask scheduler answers at {address}: {error}") from error
-    with client:
-        try:
-            client.wait_for_workers(1, timeout=_TIMEOUT)
-        except TimeoutError as error:
-            raise OptionError("the Dask cluster has no worker; start one: dask worker") from error
-        workers = client.scheduler_info(n_workers=-1)["workers"]
-        if wrong := [name for name, worker in workers.items() if worker["nthreads"] != 1]:
-            raise OptionError(
-                f"the Dask worker {wrong[0]} must have one thread: dask worker --nthreads 1"
-            )
-        yield client

@@ -1,8 +1,4 @@
-"""What users name or hand over: factories by name, attributes of their files, their functions.
-
-A renderer is known again by a version, which the user states, or else by a fingerprint of its
-source with its kind, such as "file:0123456789abcdef".
-"""
+"""What users name or hand over: factories by name, attributes of files, functions, fingerprints."""
 
 from __future__ import annotations
 

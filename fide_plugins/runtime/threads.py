@@ -1,9 +1,7 @@
-"""Threads: how many compute, locks, and what a fork leaves of them.
+"""What is around a computation: how many threads take part, who waits, how long it takes.
 
-The small parts compute in one thread, within `one_thread`; networks, and functions of the user's,
-in as many as the user has set, within `user_threads`.  OpenMP and MKL have one setting for each
-thread.  OpenBLAS has one for the process: the first thread that enters limits it, the last one that
-leaves restores.  In a forked process `user_threads` is one thread, and a `Lock` is free.
+Small parts compute within `one_thread`, networks and the user's functions within `user_threads`.
+OpenBLAS has one setting for the process: the last thread that leaves restores it.
 """
 
 from __future__ import annotations
@@ -12,33 +10,32 @@ import ctypes
 import os
 import sys
 import threading
-from collections.abc import Callable
-from contextlib import ContextDecorator, suppress
-from functools import partial, wraps
+import time
+from collections.abc import Callable, Iterable, Iterator, MutableMapping
+from contextlib import ContextDecorator, contextmanager, suppress
+from functools import wraps
 from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, TypeAlias, TypeVar, cast
 from weakref import WeakSet
 
 _LIBRARIES = ("numpy", "scipy.linalg", "torch")  # whose threads are limited, where they are loaded
 _AFFIXES = tuple(product(("", "scipy_"), ("", "64_", "_64")))  # of OpenBLAS's functions
 
 
-class _Pool(NamedTuple):
-    """The threads of one library."""
+_Put: TypeAlias = Callable[[int], Any]
+_Pool: TypeAlias = tuple[Callable[[], int] | None, _Put]
+"""The threads of one library: what tells their number, and what sets it.
 
-    limit: Callable[[], int]  # compute in one thread; returns what `restore` needs
-    restore: Callable[[int], object]
-
-
-_Limited = tuple[tuple[_Pool, int], ...]
+None in place of the former: the latter returns the number before.
+"""
 
 
 class _Thread(threading.local):
     """State of the calling thread."""
 
     depth = 0  # how many blocks of `one_thread` it is in
-    before: _Limited = ()
+    before: tuple[tuple[_Put, int], ...] = ()  # numbers to be restored
     outer: tuple[int, ...] = ()  # depths that it had when it entered blocks of `user_threads`
 
 
@@ -50,7 +47,7 @@ class _Process:
     by_thread: tuple[_Pool, ...] = ()
     by_process: tuple[_Pool, ...] = ()
     inside = 0  # threads that compute in one thread
-    before: _Limited = ()
+    before: tuple[tuple[_Put, int], ...] = ()  # numbers to be restored
     forked = False
 
 
@@ -104,86 +101,66 @@ def _limit() -> None:
         _find(loaded)
     if loaded[-1]:
         sys.modules["torch"].get_num_threads()  # a thread's first question sets OpenMP's number
-    _THREAD.before = tuple((pool, pool.limit()) for pool in _PROCESS.by_thread)
+    _THREAD.before = _limited(_PROCESS.by_thread)
     with _PROCESS.lock:
         if _PROCESS.inside == 0:
-            _PROCESS.before = tuple((pool, pool.limit()) for pool in _PROCESS.by_process)
+            _PROCESS.before = _limited(_PROCESS.by_process)
         _PROCESS.inside += 1
 
 
+def _limited(pools: Iterable[_Pool]) -> tuple[tuple[_Put, int], ...]:
+    """Limit these to one thread; returns what restores those that had another number."""
+    changed = []
+    for get, put in pools:
+        before = put(1) if get is None else get()
+        if before != 1:
+            put(1)
+            changed.append((put, before))
+    return tuple(changed)
+
+
 def _restore() -> None:
-    _put_back(_THREAD)
+    for put, before in _THREAD.before:
+        put(before)
+    _THREAD.before = ()
     with _PROCESS.lock:
         _PROCESS.inside -= 1
         if _PROCESS.inside == 0:
-            _put_back(_PROCESS)
-
-
-def _put_back(state: _Thread | _Process) -> None:
-    for pool, before in state.before:
-        pool.restore(before)
-    state.before = ()
-
-
-# -- the libraries ---------------------------------------------------------------------------------
+            for put, before in _PROCESS.before:
+                put(before)
+            _PROCESS.before = ()
 
 
 def _find(loaded: tuple[bool, ...]) -> None:
+    """Find the libraries.
+
+    MKL's setting for a thread is 0 while that for the process holds.  threadpoolctl does not know
+    the MKL within PyTorch, which does not follow OpenMP; and sets OpenBLAS for one thread only.
+    """
     from threadpoolctl import ThreadpoolController
 
-    by_thread, by_process = _mkl_of_torch(), []
-    for library in ThreadpoolController().lib_controllers:
-        functions, kind = library.dynlib, library.internal_api
-        if kind == "openmp":
-            pool = _numbered(functions.omp_get_max_threads, functions.omp_set_num_threads)
-            by_thread.append(pool)
-        elif kind == "mkl":
-            by_thread.append(_mkl(functions))
-        elif kind == "openblas":
-            by_process += _openblas(library)
-        else:
-            by_process.append(_numbered(library.get_num_threads, library.set_num_threads))
-    _PROCESS.by_thread, _PROCESS.by_process = tuple(by_thread), tuple(by_process)
-    _PROCESS.loaded = loaded
-
-
-def _numbered(get: Callable[[], int], put: Callable[[int], object]) -> _Pool:
-    """A library whose number of threads can be asked and set."""
-
-    def limit() -> int:
-        before = get()
-        if before != 1:
-            put(1)
-        return before
-
-    return _Pool(limit, lambda before: before != 1 and put(before))
-
-
-def _mkl(functions: Any) -> _Pool:
-    """MKL, whose setting for a thread is 0 while that for the process holds."""
-    put = functions.MKL_Set_Num_Threads_Local  # returns the last one
-    return _Pool(partial(put, 1), put)
-
-
-def _mkl_of_torch() -> list[_Pool]:
-    """The MKL within PyTorch, which threadpoolctl does not know of; it does not follow OpenMP."""
+    by_thread: list[_Pool] = []
+    by_process: list[_Pool] = []
     torch = sys.modules.get("torch")
     for path in [] if torch is None else Path(torch.__path__[0], "lib").glob("libtorch_cpu.*"):
         with suppress(OSError, AttributeError):  # another build, without MKL
-            return [_mkl(ctypes.CDLL(str(path)))]
-    return []
-
-
-def _openblas(library: Any) -> list[_Pool]:
-    """OpenBLAS, by its own functions: through threadpoolctl, only one thread could set them."""
-    if library.threading_layer == "openmp" or "opencv" in library.filepath:
-        return []
-    for before, after in _AFFIXES:
-        names = (f"{before}openblas_{verb}_num_threads{after}" for verb in ("get", "set"))
-        get, put = (getattr(library.dynlib, name, None) for name in names)
-        if get is not None and put is not None:
-            return [_numbered(get, put)]
-    return []
+            by_thread.append((None, ctypes.CDLL(str(path)).MKL_Set_Num_Threads_Local))
+    for library in ThreadpoolController().lib_controllers:
+        functions: Any = library.dynlib
+        if library.internal_api == "openmp":
+            by_thread.append((functions.omp_get_max_threads, functions.omp_set_num_threads))
+        elif library.internal_api == "mkl":
+            by_thread.append((None, functions.MKL_Set_Num_Threads_Local))
+        elif library.internal_api != "openblas":
+            by_process.append((library.get_num_threads, library.set_num_threads))
+        elif library.threading_layer != "openmp" and "opencv" not in library.filepath:
+            for name in (f"{one}openblas_%s_num_threads{other}" for one, other in _AFFIXES):
+                get, put = (getattr(functions, name % verb, None) for verb in ("get", "set"))
+                if get is not None and put is not None:
+                    by_process.append((get, put))
+                    break
+    _PROCESS.by_thread, _PROCESS.by_process = tuple(by_thread), tuple(by_process)
+    _PROCESS.loaded = loaded
 
 
 # -- locks -----------------------------------------------------------------------------------------
@@ -192,21 +169,11 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 class Lock:
-    """A reentrant lock for ``with``; a copy of it, or the lock in a forked process, is free."""
+    """A reentrant lock, `held`; a copy of it, or the lock in a forked process, is free."""
 
     def __init__(self) -> None:
-        self.renew()
+        self.held = threading.RLock()
         _LOCKS.add(self)
-
-    def renew(self) -> None:
-        """Free the lock, whoever holds it."""
-        self._lock = threading.RLock()
-
-    def __enter__(self) -> None:
-        self._lock.acquire()
-
-    def __exit__(self, *exception: object) -> None:
-        self._lock.release()
 
     def __reduce__(self) -> tuple[type[Lock], tuple[()]]:
         return Lock, ()
@@ -220,10 +187,25 @@ def one_at_a_time(method: F) -> F:
 
     @wraps(method)
     def locked(self: Any, /, *args: Any, **kwargs: Any) -> Any:
-        with self._lock:
+        with self._lock.held:
             return method(self, *args, **kwargs)
 
     return cast(F, locked)
+
+
+# -- time ------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def timed(times: MutableMapping[str, float], part: str) -> Iterator[None]:
+    """Add the time of this block to `part`, without the time that it adds to other parts.
+
+    A block that raises adds nothing: an error must not change the state.
+    """
+    others, start = sum(times.values()), time.perf_counter()
+    yield
+    elapsed = time.perf_counter() - start
+    times[part] += max(0.0, elapsed - (sum(times.values()) - others))
 
 
 # -- forks -----------------------------------------------------------------------------------------
@@ -231,11 +213,13 @@ def one_at_a_time(method: F) -> F:
 
 def _after_fork_in_child() -> None:
     for lock in _LOCKS:
-        lock.renew()
+        lock.held = threading.RLock()
     _PROCESS.lock, _PROCESS.forked = threading.Lock(), True
     _PROCESS.inside = min(_THREAD.depth, 1)  # of threads that were inside, only this one is left
     if not _PROCESS.inside:
-        _put_back(_PROCESS)
+        for put, before in _PROCESS.before:
+            put(before)
+        _PROCESS.before = ()
 
 
 if hasattr(os, "register_at_fork"):  # not on Windows, which has no fork

@@ -7,12 +7,12 @@ CMA Evolution Strategy: A Tutorial" (arXiv:1604.00772); C = B diag(D^2) B^T.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, ClassVar
 
 import numpy as np
 
-from fide_plugins.runtime.schema import Schema, Sides, Stateful, anything, array, real, whole
+from fide_plugins.runtime.schema import Plain, Schema, Sides, Stateful, anything, array, real, whole
 from fide_plugins.types import Float64, Mask
 
 _MEMORY = 0.3  # weight of the newest comparison
@@ -115,7 +115,8 @@ class CMAES(Stateful):
     def __init__(
         self, mean: Float64, std: float | Float64, popsize: int, *, widest: float = 1.0
     ) -> None:
-        d, k = len(mean), popsize
+        self.dim = d = len(mean)
+        k = popsize
         scales = np.broadcast_to(np.asarray(std, np.float64), (d,))
         self.mean = np.array(mean, np.float64)
         self.sigma = float(np.sqrt(np.mean(scales**2)))
@@ -125,6 +126,8 @@ class CMAES(Stateful):
         self.popsize = k
         self.largest_std = widest * float(scales.mean())
         self._two_point = TwoPoint(d) if are_many(d, k) else None
+        self.draws_pair = self._two_point is not None
+        """Whether the first two of a sample are a pair that measures the step size."""
         self._set_weights(d, k)
         self._decompose()
 
@@ -155,11 +158,6 @@ class CMAES(Stateful):
         self._longest_step = np.sqrt(d) + 2 * d / (d + 2)  # Hansen 2011, eq. 3
 
     @property
-    def dim(self) -> int:
-        """Number of parameters d."""
-        return len(self.mean)
-
-    @property
     def std(self) -> Float64:
         """sqrt(diag Sigma), (d,): the per-parameter noise of the denoiser (supplement S1)."""
         return self.sigma * np.sqrt(np.maximum(np.diag(self.C), 0.0))
@@ -174,11 +172,6 @@ class CMAES(Stateful):
             y[:2] = self._two_point.pair(y[:2], self._lengths)
         z: Float64 = self.mean + self.sigma * y
         return z
-
-    @property
-    def draws_pair(self) -> bool:
-        """Whether the first two of a sample are a pair that measures the step size."""
-        return self._two_point is not None
 
     def tell(
         self,
@@ -305,9 +298,7 @@ class CMAES(Stateful):
             self.C = (self.C + self.C.T) / 2
         self._D = np.sqrt(eigenvalues)
 
-    def load_state_dict(
-        self, state: Mapping[str, Any], sides: Sides | None = None, device: Any = None
-    ) -> None:
+    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
         """Go on, bit for bit, where `state_dict` was taken; ValueError if it is none."""
         if (state.get("two_point") is None) != (self._two_point is None):
             raise ValueError("distribution['two_point'] is not of so many parameters")

@@ -1,7 +1,7 @@
 """Walls of the unit cube; integers, choices and periodic parameters.
 
 A candidate z ~ N(m, Sigma) stands for v = m + A (z - m), stretched on axes with cells, and for the
-point x of the cube that is rendered.  Without such axes x is `into(z)`, to the bit.
+point x of the cube that is rendered.  Where there are none of these, x is `into(z)`.
 """
 
 from __future__ import annotations
@@ -124,64 +124,50 @@ _WIDE = 0.3  # standard deviation on an axis with cells where nothing is known; 
 _USUAL = 1 / 6  # that on other axes
 
 
-def periodic_axes(layout: Layout | None) -> Mask | None:
-    """(d,), axes that wrap around; None where none does."""
-    return None if layout is None or not layout.periodic.any() else layout.periodic
-
-
 class Mixed(Stateful):
-    """The maps between z and x, and the margin.
+    """The maps between z and x, and the margin, where a layout says what is discrete or periodic.
 
-    layout: None where every parameter is a number with walls.
+    A: (d,), see above.
     """
 
     SCHEMA: ClassVar[dict[str, Schema]] = {"A": array("axes", low=1e-30, high=1e30)}
 
-    def __init__(self, layout: Layout | None) -> None:
-        self.layout = layout
-        self._periodic = periodic_axes(layout)
-        self._discrete = None if layout is None or not layout.discrete.any() else layout.discrete
-        self.A: Float64 = np.ones(0 if layout is None else layout.dim)
+    def __init__(self, layout: Layout) -> None:
+        self.layout, self._periodic = layout, layout.wrapped
+        self._has_cells = bool(layout.discrete.any())
+        self.A: Float64 = np.ones(layout.dim)
 
     def widened(self, std: Float64) -> Float64:
         """Standard deviations (d,) of a search that knows nothing: at least 0.3 on discrete axes.
 
         With the usual 1/6 the integers at the ends would hardly be tried.
         """
-        if self._discrete is None:
-            return std
         widened = np.maximum(std, _WIDE * np.minimum(1.0, std / _USUAL))
-        return np.where(self._discrete, widened, std)
+        return np.where(self.layout.discrete, widened, std)
 
     def stretched(self, z: Float64, mean: Float64) -> Float64:
         """V (n, d) of candidates z (n, d)."""
-        return z if self._discrete is None else mean + self.A * (z - mean)
-
-    def into(self, z: Float64, mean: Float64) -> Float64:
-        """Points x (n, d) that candidates z (n, d) stand for."""
-        return self.reflected(self.stretched(z, mean))
+        return mean + self.A * (z - mean) if self._has_cells else z
 
     def reflected(self, v: Float64) -> Float64:
         """Points x (n, d) of the cube for v (n, d), reflected at its walls, or wrapped."""
-        if self._discrete is not None and self.layout is not None:
-            v = self.layout.snap(v)
-        return into(v, self._periodic)
+        return into(self.layout.snap(v) if self._has_cells else v, self._periodic)
 
     def clipped(self, proposed: Float64) -> Float64:
         """Points x (n, d) of the cube for proposals (n, d), which are clipped or wrapped."""
         x = inside(proposed, self._periodic)
-        return x if self._discrete is None or self.layout is None else self.layout.snap(x)
+        return self.layout.snap(x) if self._has_cells else x
 
     def closest(self, x: Float64, mean: Float64) -> Float64:
         """The z (n, d) of points x (n, d) that is closest to the mean (d,)."""
         v = closest(x, mean, self._periodic)
-        if self._discrete is None:
+        if not self._has_cells:
             return v
-        return mean + (np.where(self._discrete, x, v) - mean) / self.A
+        return mean + (np.where(self.layout.discrete, x, v) - mean) / self.A
 
     def correct(self, distribution: CMAES) -> None:
         """Move the mean, and change A, so that no value is given up."""
-        if self._discrete is None or self.layout is None:
+        if not self._has_cells:
             return
         alpha = 1 / (distribution.dim * distribution.popsize)
         lower, upper = self.layout.cells(distribution.mean)
@@ -190,7 +176,7 @@ class Mixed(Stateful):
         for block in self.layout.choices:
             cov = distribution.sigma**2 * distribution.C[block, block]
             mean[block] = correct_choice(mean[block], cov, alpha)
-        self.A = np.where(self._discrete, stretched / std, 1.0)
+        self.A = np.where(self.layout.discrete, stretched / std, 1.0)
         distribution.mean = mean
 
 
@@ -210,7 +196,7 @@ class Axes:
 
     def __init__(self, dim: int, layout: Layout | None = None) -> None:
         self.dim = dim
-        self.periodic = periodic_axes(layout)
+        self.periodic = None if layout is None else layout.wrapped
         first: Indices = np.arange(dim)  # axis of the parameter of each axis
         for block in () if layout is None else layout.choices:
             first[block] = block.start
@@ -256,11 +242,11 @@ class Values(Stateful):
     def __init__(self, axes: Axes | None = None, layout: Layout | None = None) -> None:
         self._axes, self._layout = axes, layout
         self.discrete = np.zeros(1, bool) if layout is None else layout.discrete
-        self.forget()
+        self._searched = np.empty((0, int(self.discrete.sum())))  # the oldest first
 
     def forget(self) -> None:
         """Begin again, for another target."""
-        self._searched = np.empty((0, int(self.discrete.sum())))  # the oldest first
+        self._searched = self._searched[:0]
 
     def others(self, x: Float64) -> Float64:
         """Copies (n, d) of a rendered point x (d,), each with another value of one parameter.

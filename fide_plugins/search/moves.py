@@ -15,7 +15,7 @@ from typing import ClassVar
 import numpy as np
 from torch import Tensor
 
-from fide_plugins.population.candidate import TrainingSample
+from fide_plugins.population import TrainingSample
 from fide_plugins.runtime.schema import array, flag, maybe, real, saved, whole
 from fide_plugins.search.mixed import Axes, Values
 from fide_plugins.search.scene import APART, Exchangeability, Optima, Removal, Sensitivity

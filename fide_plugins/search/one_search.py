@@ -8,15 +8,15 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from fide_plugins.options import Options
 from fide_plugins.population import Candidate, mirrored_pair, search_columns
-from fide_plugins.runtime.schema import Schema, Sides, Stateful, anything, each, real, side
+from fide_plugins.runtime.schema import Plain, Schema, Sides, Stateful, anything, each, real, side
 from fide_plugins.search.cma_es import CMAES
-from fide_plugins.search.mixed import Mixed
+from fide_plugins.search.mixed import Mixed, closest, inside, into
 from fide_plugins.search.moves import Start
 from fide_plugins.space.layout import Layout
 from fide_plugins.types import Float64
@@ -59,7 +59,7 @@ def is_hopeless(history: list[float], goal: float) -> bool:
 
 
 @dataclass
-class Termination:
+class Termination(Stateful):
     """When one search is over.
 
     Guided by images, it is over when it has *stalled* (`has_stalled`), *collapsed* (it is a
@@ -75,6 +75,7 @@ class Termination:
     history: best loss after each of the last generations, as many as are needed.
     """
 
+    SCHEMA: ClassVar[dict[str, Schema]] = {"history": each(real(high=np.inf))}
     sigma0: float | Float64
     patience: int
     improvement: float
@@ -146,17 +147,18 @@ class Search(Stateful):
         "popsize": side("popsize"),
         "distribution": anything,  # which checks its own
         "mixed": anything,
-        "history": each(real(high=np.inf)),
+        "termination": anything,
     }
 
     def __init__(self, start: Start, goal: float, setting: Setting) -> None:
         self.setting = setting
         self.popsize = start.population * setting.popsize
         self._guard = setting.options.guard_search
-        self._mixed = Mixed(setting.layout)
+        self._mixed = None if setting.layout is None else Mixed(setting.layout)
         self._start = start
-        is_first = np.array_equal(start.std, setting.sigma0)  # as wide, since nothing is known
-        std = self._mixed.widened(start.std) if is_first else start.std
+        std = start.std
+        if self._mixed is not None and np.array_equal(std, setting.sigma0):  # nothing is known
+            std = self._mixed.widened(std)
         widest = start.widest if self._guard else np.inf
         self.distribution = CMAES(start.mean, std, self.popsize, widest=widest)
         dim, options = len(start.mean), setting.options
@@ -172,15 +174,6 @@ class Search(Stateful):
         )
 
     @property
-    def history(self) -> list[float]:
-        """Best loss after each of the last generations."""
-        return self.termination.history
-
-    @history.setter
-    def history(self, history: list[float]) -> None:
-        self.termination.history = history
-
-    @property
     def mean(self) -> Float64:
         """Mean (d,) of the distribution."""
         return self.distribution.mean
@@ -189,14 +182,14 @@ class Search(Stateful):
     def std(self) -> Float64:
         """Standard deviations (d,) of what is rendered."""
         std = self.distribution.std
-        return self._mixed.A * std if len(self._mixed.A) else std
+        return std if self._mixed is None else self._mixed.A * std
 
     def sample(self, n: int, rng: np.random.Generator) -> tuple[Float64, Float64]:
         """Draw n candidates z ~ N(m, Sigma), and the points x that they stand for, (n, d) each."""
 
         def draw(m: int) -> tuple[Float64, Float64]:
             z = self.distribution.sample(m, rng)
-            return self._with_fixed(self._mixed.into(z, self.mean)), z
+            return self._with_fixed(self._reflected(self.stretched(z))), z
 
         validity = self.setting.validity
         if validity is None:
@@ -212,16 +205,20 @@ class Search(Stateful):
 
     def render_mean(self, mean: Float64) -> Float64:
         """Point (d,) of the cube that a mean (d,) stands for."""
-        x: Float64 = self._mixed.reflected(mean[None])[0]
+        x: Float64 = self._reflected(mean[None])[0]
         return x
 
     def stretched(self, z: Float64) -> Float64:
         """Candidates z (n, d) as samples of N(mean, std^2), before any are put into the cube."""
-        return self._mixed.stretched(z, self.mean)
+        return z if self._mixed is None else self._mixed.stretched(z, self.mean)
+
+    def _reflected(self, v: Float64) -> Float64:
+        """Points of the cube for those (n, d), reflected at its walls, or wrapped."""
+        return into(v) if self._mixed is None else self._mixed.reflected(v)
 
     def clipped(self, x: Float64) -> Float64:
         """Points of the cube for any (n, d), clipped at its walls, or wrapped."""
-        return self._mixed.clipped(x)
+        return inside(x) if self._mixed is None else self._mixed.clipped(x)
 
     def place_proposals(self, x: Float64, z: Float64) -> Float64:
         """Points of the cube for proposals x (n, d), with the values that this search fixes.
@@ -231,7 +228,7 @@ class Search(Stateful):
         x, validity = self._with_fixed(self.clipped(x)), self.setting.validity
         if validity is None:
             return x
-        sampled = self._with_fixed(self._mixed.into(z, self.mean))
+        sampled = self._with_fixed(self._reflected(self.stretched(z)))
         return validity.moved_back(x, sampled, self._start.mean)
 
     def _with_fixed(self, x: Float64) -> Float64:
@@ -241,7 +238,8 @@ class Search(Stateful):
 
     def closest(self, x: Float64) -> Float64:
         """Return the z (n, d) of points x (n, d) that is closest to the mean."""
-        return self._mixed.closest(x, self.mean)
+        mean = self.mean
+        return closest(x, mean) if self._mixed is None else self._mixed.closest(x, mean)
 
     def tell(
         self, members: list[Candidate], losses: Float64, point: tuple[Float64, float] | None
@@ -258,7 +256,7 @@ class Search(Stateful):
             losses = losses.copy()  # those given are the caller's
             z[worst], losses[worst] = self.closest(point[0][None])[0], point[1]
             injected[worst] = True
-        pair = mirrored_pair(members)
+        pair = mirrored_pair(members) if self.distribution.draws_pair else None
         if pair is not None and injected[list(pair)].any():
             pair = None
         self.distribution.tell(z, losses, injected & self._guard, pair)
@@ -275,15 +273,15 @@ class Search(Stateful):
 
     def _correct(self) -> None:
         """Apply the margin, and move the mean back to what is fixed."""
-        self._mixed.correct(self.distribution)
+        if self._mixed is not None:
+            self._mixed.correct(self.distribution)
         self.distribution.mean = self._with_fixed(self.distribution.mean)
 
-    def is_over(self, *, guided: bool, floor: float = 0.0) -> bool:
-        """Whether to begin another search; guided: whether images guide it.
-
-        floor: loss that no candidate removes.
-        """
-        return self.termination.is_over(self.distribution.std, guided=guided, floor=floor)
+    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
+        """Go on where `state_dict` was taken; ValueError if it is none."""
+        if (state.get("mixed") is None) != (self._mixed is None):
+            raise ValueError("search['mixed'] is not of this space")
+        super().load_state_dict(state)
 
     def _sides(self) -> Sides:
-        return {"popsize": self.popsize, "d": len(self.mean), "axes": len(self._mixed.A)}
+        return {"popsize": self.popsize, "d": len(self.mean), "axes": len(self.mean)}

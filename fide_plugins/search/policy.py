@@ -12,11 +12,12 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from torch import Tensor, device
+from torch import Tensor
 
-from fide_plugins.population.candidate import TrainingSample
+from fide_plugins.population import TrainingSample
 from fide_plugins.runtime.schema import (
     GENERATOR,
+    Plain,
     Schema,
     Sides,
     Stateful,
@@ -32,7 +33,7 @@ from fide_plugins.runtime.schema import (
     values,
     whole,
 )
-from fide_plugins.search.mixed import Axes, Mixed, Values
+from fide_plugins.search.mixed import Axes, Mixed, Values, inside
 from fide_plugins.search.moves import (
     AFTER_DESCENT,
     ChangeValue,
@@ -178,7 +179,7 @@ class MovePolicy:
             removal=Removal(),
             sensitivity=Sensitivity(dim, channels, axes),
             axes=axes,
-            place=Mixed(layout).clipped,
+            place=inside if layout is None else Mixed(layout).clipped,
             values=Values(axes, layout),
         )
         self._candidates = max(_CANDIDATES, popsize)
@@ -487,9 +488,7 @@ class MovePolicy:
             **{name: getattr(self.known, name).state_dict() for name in _PARTS},
         }
 
-    def load_state_dict(
-        self, state: Mapping[str, Any], sides: Sides | None = None, device: device | None = None
-    ) -> None:
+    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
         """Put back what `state_dict` gave, tokens on the device; ValueError if it is none."""
         known = self.known
         (tokens, channels), d = known.target.shape, known.dim

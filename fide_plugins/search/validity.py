@@ -8,7 +8,7 @@ import numpy as np
 
 from fide_plugins.errors import OptionError
 from fide_plugins.search.cma_es import CMAES
-from fide_plugins.search.mixed import Mixed
+from fide_plugins.search.mixed import Mixed, inside
 from fide_plugins.space import Space
 from fide_plugins.space.constraints import constraints_not_stored, constraints_of
 from fide_plugins.types import Float64, Mask
@@ -36,7 +36,7 @@ def validity_of(
     validity = Validity(
         constraints,
         constraints.explain,
-        Mixed(None if space is None else space.layout).clipped,
+        inside if space is None else Mixed(space.layout).clipped,
         seed,
         is_known=function is not constraints_not_stored,
         is_own=function is not None,

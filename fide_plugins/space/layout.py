@@ -18,8 +18,6 @@ import numpy as np
 from fide_plugins.space.kinds import Float, Kind
 from fide_plugins.types import Float64, Indices, Mask
 
-__all__ = ["Layout"]
-
 _CHOSEN, _NOT_CHOSEN = 0.75, 0.25  # coordinates of a choice, in the middle of their halves
 
 
@@ -28,7 +26,7 @@ class Layout:
 
     dim: d, number of axes.
     slices: of the axes of each parameter; empty for a constant.
-    periodic: (d,), axes that wrap around.
+    periodic: (d,), axes that wrap around; wrapped: the same, None where none does.
     stepped: (d,), axes of which only cells matter: integers, steps, choices of two.
     choices: slices of the blocks of axes in which the largest coordinate decides.
     """
@@ -45,11 +43,11 @@ class Layout:
         self.choices = [self.slices[i] for i in self._many]
         self.periodic = np.zeros(self.dim, bool)
         self.periodic[self._axis] = [isinstance(k, Float) and k.periodic for k in self._of(kinds)]
+        self.wrapped: Mask | None = self.periodic if self.periodic.any() else None
         scales = [kind.scale for kind in self._of(kinds)]
-        self._low, self._high, self._step = (
-            np.array([scale[i] for scale in scales], np.float64) for i in range(3)
-        )
-        self._log = np.array([scale.log for scale in scales], bool)
+        columns = np.array(scales, np.float64).reshape(-1, 4).T
+        self._low, self._high, self._step = (column.copy() for column in columns[:3])
+        self._log = columns[3] > 0
         self._any_log, self._any_step = bool(self._log.any()), bool(self._step.any())
         self._bottom = self._scaled(self._low - self._step / 2)
         self._length = self._scaled(self._high + self._step / 2) - self._bottom

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.distance import cdist
 from torch import Tensor
 
-from fide_plugins.population.candidate import TrainingSample
+from fide_plugins.population import TrainingSample
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.search.mixed import Axes
 from fide_plugins.types import OPEN, Estimated, Float64, Indices, Mask
@@ -21,8 +20,6 @@ from fide_plugins.uncertainty.local_fit import (
     deviations,
     fit_locally,
     noise_of,
-    scale_of,
-    unexplained,
 )
 from fide_plugins.uncertainty.samples import (
     Surroundings,
@@ -52,10 +49,7 @@ def limits(around: Surroundings, missed: Float64, model: FitToTarget, std: Float
 
     missed: (n,), squared, by how much samples miss the target.  std: (p,), by the model alone.
     """
-    noise = noise_of(model)
-    # by how much the noise of a render changes what it misses: a standard deviation, squared errors
-    luck = _LUCK * (2 * model.fit.s * (model.fit.s / model.f + 2 * noise)) ** 0.5
-    more = max(NO_EFFECT * model.farthest, _ODDS * noise + luck)
+    more = max(NO_EFFECT * model.farthest, _as_good(model))
     good = around.own[missed[around.own] <= missed[around.at] + more]
     far = np.abs(around.steps(good)).max(axis=0)
     limited = np.full(len(std), np.inf)
@@ -63,6 +57,14 @@ def limits(around: Surroundings, missed: Float64, model: FitToTarget, std: Float
         if not _without_effect(around, int(one)):
             limited[one] = WIDER * far[one]
     return limited
+
+
+def _as_good(model: FitToTarget) -> float:
+    """By how much more, squared, a sample may miss the target and be as good a solution."""
+    noise = noise_of(model)
+    # by how much the noise of a render changes what it misses: a standard deviation, squared errors
+    luck = _LUCK * (2 * model.fit.s * (model.fit.s / model.f + 2 * noise)) ** 0.5
+    return float(_ODDS * noise + luck)
 
 
 def _without_effect(around: Surroundings, one: int) -> bool:
@@ -92,79 +94,6 @@ def _apart(u: Float64, which: Mask, periodic: Mask | None) -> Float64:
         gaps = np.abs(angle[:, None] - angle)
         apart += np.square(np.minimum(gaps, 1.0 - gaps))
     return apart
-
-
-# -- values of integers and choices ----------------------------------------------------------------
-
-
-_FEWEST = 5  # samples with the other value; fewer say nothing of it
-_NEAR = 20.0  # times as much as near the solution may be missed; samples beyond say nothing
-_SMALL = 1e-3  # of the energy of the target, and with it 3 % of its features
-_SPREAD = 1.0  # standard deviations of the difference, by the error of delta
-
-
-class OtherValue(NamedTuple):
-    """Another value of an integer or a choice, which was rendered.
-
-    axes: (a,), of that parameter.  rows: (n,), samples with this value, and the solution's own ones
-    of all others; own: (n,), for each the sample with the own value asked at the nearest time.
-    """
-
-    axes: Indices
-    rows: Indices
-    own: Indices
-
-
-def other_values(around: Surroundings, axes: Axes) -> list[OtherValue]:
-    """Those that enough samples have."""
-    found = []
-    for one in (one for one in axes.axes_of if around.other[:, one].any()):
-        elsewhere = np.ones(around.other.shape[1], bool)
-        elsewhere[one] = False
-        here, there = around.other[:, one].any(axis=1), around.other[:, elsewhere].any(axis=1)
-        just_here = np.flatnonzero(around.matched & here & ~there)
-        values = np.round(around.points[just_here][:, one], 6)
-        for value in np.unique(values, axis=0):
-            rows = just_here[(values == value).all(axis=1)]
-            if len(rows) >= _FEWEST:
-                found.append(OtherValue(one, rows, _nearest(around.own, rows)))
-    return found
-
-
-def _nearest(own: Indices, rows: Indices) -> Indices:
-    """Of the samples `own`, in the order of asking, that nearest in time to each of `rows`."""
-    after = np.clip(np.searchsorted(own, rows), 1, len(own) - 1)
-    before = after - 1
-    return np.where(rows - own[before] <= own[after] - rows, own[before], own[after])
-
-
-def looks_alike(
-    model: FitToTarget, around: Surroundings, other: OtherValue, e: Float64, own_e: Float64
-) -> bool:
-    """Whether the other value may be the true one.
-
-    Unless it leaves more of the target unexplained, by the mean difference of pairs of samples.
-
-    e, own_e: (n, f'), features of its samples, and of the own ones.
-    """
-    fit, target, f = model.fit, model.target, model.f
-    u, own_u = around.steps(other.rows), around.steps(other.own)
-    missing = fit.misses(u) + fit.misses(own_u)
-    near = missing <= 2 * max(_NEAR * fit.s, _SMALL * float(target @ target))
-    if near.sum() < _FEWEST:
-        return False
-    weights = np.where(near, 1 / missing, 0.0)
-    weights = weights / weights.sum()
-    changes = e - own_e - (u - own_u) @ fit.J  # (n, f')
-    delta = weights @ changes
-    missed = float(weights @ np.square(changes - delta).sum(axis=1)) / 2  # by one of the two
-    of_own = np.bincount(np.unique(other.own, return_inverse=True)[1], weights)
-    error = missed * float(weights @ weights + of_own @ of_own)  # energy, over all features
-    left, there = (unexplained(fit, r) for r in (model.residual, model.residual - delta))
-    spread = error * (2 / f) ** 0.5 + 2 * float(np.linalg.norm(left)) * (error / f) ** 0.5
-    more = float(there @ there) - error - float(left @ left)
-    alike: bool = more <= _ODDS * scale_of(model) + _SPREAD * spread
-    return alike
 
 
 # -- the estimate ----------------------------------------------------------------------------------
@@ -223,28 +152,20 @@ class LocalEstimate:
         target = features_of([self.target], self.channels)[0]
         missed = np.square(around.features - target).sum(axis=1)
         near = most_alike(around, float(missed[around.at]))  # 1
-        others = other_values(around, self.axes)
-        model, features = self._fit(around, target, near, others)  # 2
+        model = self._fit(around, target, near)  # 2
         as_far = limits(around, missed, model, deviations(model))  # 3
         std[around.free] = deviations(model._replace(as_far=as_far))
-        for other, e, own_e in zip(others, features[::2], features[1::2], strict=True):  # 4
-            ambiguous[other.axes] |= looks_alike(model, around, other, e, own_e)
         # another value of which an image is as good to 8 bits, or within the noise of the target
         least = _ROUNDING * around.features.shape[1]
-        good = missed <= max(missed[around.at] + _ODDS * noise_of(model), least)
+        good = missed <= max(missed[around.at] + _as_good(model), least)
         differs = np.flatnonzero(around.other[around.matched & good].any(axis=0))
         ambiguous |= np.isin(np.arange(len(self.x)), self.axes.together(differs))
         return Estimated(std, ambiguous)
 
-    def _fit(
-        self, around: Surroundings, target: Float64, near: Indices, others: Sequence[OtherValue]
-    ) -> tuple[FitToTarget, list[Float64]]:
-        """The linear model of the samples `near` (m,); features of other values and own ones."""
-        parts = [near, *(rows for other in others for rows in (other.rows, other.own))]
+    def _fit(self, around: Surroundings, target: Float64, near: Indices) -> FitToTarget:
+        """The linear model of the samples `near` (m,)."""
         f = independent(target, len(self.target), around.features)
-        every, target = compressed(around.features[np.concatenate(parts)], target)
-        ends = np.cumsum([len(rows) for rows in parts])
-        e, *of_others = np.split(every, ends[:-1])
+        e, target = compressed(around.features[near], target)
         fit = fit_locally(around.steps(near), e, floored(around.distances[near]))
         farthest = float(around.distances[around.own].max())
-        return FitToTarget(fit, target, f, farthest), of_others
+        return FitToTarget(fit, target, f, farthest)

@@ -1,7 +1,6 @@
 """A linear model of the features around one solution, and the covariance that follows from it.
 
-Notation: u (n, d), parameters minus those of the solution; e (n, f), features; J (d, f), with
-e ~ a + (u - m) J; D (n,), squared distance of the features from those of the solution.
+u (n, d): parameters minus the solution's; e (n, f): features ~ a + (u - m) J; D (n,): |e - e0|^2.
 """
 
 from __future__ import annotations

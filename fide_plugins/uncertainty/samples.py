@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from torch import Tensor
 
-from fide_plugins.population.candidate import TrainingSample, in_order
+from fide_plugins.population import TrainingSample, in_order
 from fide_plugins.search import mixed
 from fide_plugins.search.mixed import Axes
 from fide_plugins.types import Float64, Indices, Mask

@@ -1,71 +1,42 @@
-"""Converts and validates targets and renders.
+"""Converts targets and renders to C-contiguous float32 (H, W, 3) or (n, H, W, 3) in [0, 1].
 
-Inside the library all images are *canonical*: C-contiguous float32 NumPy arrays with values in
-[0, 1], `(H, W, 3)` for a target and `(n, H, W, 3)` for a batch.  The rules for all others:
-
-- values: uint8 [0, 255] and bool are scaled to [0, 1]; floats keep their values; other types are
-  refused, since their scale is unknown.  With a value range, [low, high] takes the place of [0, 1],
-  and all types are numbers as they are; alpha is a share still;
-- channels: none or 1, gray, repeated; 3, RGB; 4, RGBA, composited over white (a mask over black);
-- axes: channels last.  In a torch tensor channels may come first: if the first axis has 1, 3 or 4
-  entries and the other two fit the required size, if there is one;
-- outside [0, 1]: refused in a target; clipped in a batch, with a warning, unless it is rounding (up
-  to 1e-6).  Renders on another scale than the target are refused, see `pixels`;
-- NaN and infinity are refused;
-- hidden pixels, where a mask has zeros: NaN becomes 0, other values are clipped;
-- files, PIL images: turned upright (EXIF), palettes expanded, 16 bits divided by 65535, grays of 32
-  bits refused; of several frames the first, with a warning; at most `MAX_PIXELS` pixels.
+uint8, bool, floats; gray is repeated, RGBA put over white (a mask over black); channels last, or
+first in tensors.  Targets beyond [0, 1] and NaN are refused, renders clipped, see `values`.
 """
 
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Sequence
 from functools import reduce
 from pathlib import Path
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from fide_plugins.errors import ImageError
 from fide_plugins.types import Float32, Mask
-from fide_plugins.validation.pixels import (
-    MAX_PIXELS,
+from fide_plugins.validation.points import whole_number
+from fide_plugins.validation.values import (
+    ROUNDING,
     Clip,
     OnClip,
     Pixels,
-    Size,
     ValueRange,
-    channels_last,
-    check_axes,
-    check_batch_axes,
-    check_count,
     describe,
-    extremes,
-    from_tensor,
-    is_path,
-    is_pil,
-    is_torch_tensor,
-    is_unit,
-    shares,
+    tell_clipped,
     typed,
-    unit_range,
     warn_clipped,
 )
-from fide_plugins.validation.points import whole_number
 
-__all__ = [
-    "MAX_PIXELS",
-    "alpha_of",
-    "as_batch",
-    "as_target",
-    "is_image",
-    "load",
-    "save",
-    "warn_clipped",
-]
+__all__ = ["alpha_of", "as_batch", "as_target", "is_image", "load", "save", "warn_clipped"]
 
 
-# -- public ----------------------------------------------------------------------------------------
+Size: TypeAlias = tuple[int, int]  # (H, W)
+
+CHANNELS = (1, 3, 4)  # gray, RGB, RGBA
+_VIEWS = "of several pictures make views: list(image), and let render return such a list"
 
 
 def as_target(
@@ -101,7 +72,8 @@ def as_pixels(image: object, what: str, raw: bool = False, size: Size | None = N
     Raises ImageError for types and axes that no image has, `ImageNotFoundError`.
     """
     array, is_tensor = _to_array(image, what, raw)
-    check_axes(array, what)
+    if array.ndim not in (2, 3):
+        raise _other_axes(array, what)
     pixels: Pixels = channels_last(array, 0, is_tensor, size, what)
     return pixels
 
@@ -145,7 +117,7 @@ def as_batch(
         or tuple of images that `as_target` accepts.
     shape: required size (H, W), or shape (H, W, 3) of the target; None: that of the first image.
     n: required number of images; None: any number, also zero.
-    on_clip: called once, with a `pixels.Clip`, if finite values outside [0, 1] were clipped.
+    on_clip: called once, with a `values.Clip`, if finite values outside [0, 1] were clipped.
     hidden, values: as of `as_target`.
 
     Raises ImageError (a ValueError) for wrong number, shape, type or values; a `ValueRangeError` if
@@ -153,19 +125,21 @@ def as_batch(
     """
     size = None if shape is None else (int(shape[0]), int(shape[1]))
     if isinstance(images, (list, tuple)):
-        check_count(len(images), n)
+        if n not in (None, len(images)):
+            raise _miscounted(len(images), n)
         return _list_as_batch(images, size, on_clip, hidden, values)
     what = "the batch of images"
-    if is_path(images) or is_pil(images):
-        raise ImageError(f"{what} must be an (n, H, W, C) array or a list of images, got {images}")
-    array, is_tensor = _to_array(images, what, values is not None)
+    array, is_tensor = _to_array(images, what, values is not None, batch=True)
     check_batch_axes(array, size, what)
-    check_count(len(array), n)
+    if n not in (None, len(array)):
+        raise _miscounted(len(array), n)
     pixels: Pixels = channels_last(array, 1, is_tensor, size, what)
     is_float32 = pixels.dtype == np.float32 and pixels.shape[-1] == 3
     canonical = values is None and is_float32 and pixels.flags.c_contiguous
-    if canonical and is_unit(*extremes(pixels)):
-        return pixels
+    if canonical:
+        low, high = extremes(pixels)
+        if low >= 0.0 and high <= 1.0:  # False for NaN
+            return pixels
     return _canonical(pixels, what, on_clip, hidden, values=values)
 
 
@@ -200,9 +174,6 @@ def save(path: str | os.PathLike[str], image: Float32) -> None:
     Path(path).write_bytes(encoded(image, Path(path).suffix))
 
 
-# -- steps: to an array, channels last, unit range, three channels ---------------------------------
-
-
 def _list_as_batch(
     images: Sequence[object],
     size: Size | None,
@@ -230,9 +201,19 @@ def _list_as_batch(
     return out
 
 
-def _to_array(image: object, what: str, raw: bool = False) -> tuple[Pixels, bool]:
-    """Return the image as a numpy array, and whether it was a torch tensor."""
+def _to_array(
+    image: object, what: str, raw: bool = False, batch: bool = False
+) -> tuple[Pixels, bool]:
+    """Return the image as a numpy array, and whether it was a torch tensor; a file is no batch."""
+    if type(image) is np.ndarray:
+        plain = image.dtype == np.uint8 or image.dtype.kind in "fb"
+        return (image if plain else typed(image, what, describe(image), raw)), False
+    if is_torch_tensor(image):
+        return from_tensor(image, what, raw), True
     if is_path(image) or is_pil(image):
+        if batch:
+            rule = "must be an (n, H, W, C) array or a list of images"
+            raise ImageError(f"{what} {rule}, got {image}")
         from fide_plugins.validation.image_files import from_pil, read_pixels  # rarely needed
 
         image = (
@@ -240,8 +221,6 @@ def _to_array(image: object, what: str, raw: bool = False) -> tuple[Pixels, bool
             if is_path(image)
             else from_pil(image, what, raw=raw)
         )
-    elif is_torch_tensor(image):
-        return from_tensor(image, what, raw), True
     if np.ma.is_masked(image):
         raise ImageError(
             f"{what} is a masked array, and its mask would be lost; give image.filled(value), and "
@@ -280,3 +259,144 @@ def _canonical(
         else:
             out[...] = unit
     return out
+
+
+def _other_axes(pixels: Any, what: str) -> ImageError:
+    """Error for axes that are not those of one image."""
+    remedy = f"; {_VIEWS}" if pixels.ndim == 4 else ""
+    if pixels.ndim == 4 and len(pixels) == 1:
+        remedy = "; take it out of its batch of one, image[0]"
+    return ImageError(f"{what} must have axes (H, W) or (H, W, C), got {describe(pixels)}{remedy}")
+
+
+def check_batch_axes(pixels: Any, size: Size | None, what: str) -> None:
+    """Raise ImageError unless the axes are those of a batch."""
+    has_channels = pixels.ndim == 3 and pixels.shape[2] in CHANNELS  # as n gray images could
+    single = pixels.ndim == 2 or (has_channels and tuple(pixels.shape[1:]) != size)
+    if single or pixels.ndim not in (3, 4):
+        raise ImageError(
+            f"{what} must have axes (n, H, W, C), or (n, H, W) for gray, got {describe(pixels)}"
+            + ("; for a single image write image[None]" if single else "")
+        )
+
+
+def _miscounted(count: int, n: int | None) -> ImageError:
+    return ImageError(f"there must be one image per point: got {count} images for {n} points")
+
+
+def channels_last(pixels: Any, batch: int, may_be_first: bool, size: Size | None, what: str) -> Any:
+    """View of `pixels` as (..., H, W, C), after `batch` (0 or 1) leading axes; checks the size.
+
+    may_be_first: whether channels may come before H and W, as in torch tensors.
+    """
+    if pixels.ndim == batch + 2:
+        pixels = pixels[..., None]
+    else:
+        first, *rest = pixels.shape[batch:]
+        if may_be_first and first in CHANNELS and size in (None, tuple(rest)):
+            pixels = np.moveaxis(pixels, batch, -1)
+        elif pixels.shape[-1] not in CHANNELS:
+            move = "np.moveaxis(image, -3, -1) puts the channels last"
+            raise ImageError(
+                f"{what} must have 1, 3 or 4 channels in its last axis, got {describe(pixels)}; "
+                f"{move if first in CHANNELS else _VIEWS}"
+            )
+    height, width = pixels.shape[batch : batch + 2]
+    if height == 0 or width == 0:
+        raise ImageError(f"{what} is empty: {describe(pixels)} has no pixels")
+    if size is not None and size != (height, width):
+        raise ImageError(
+            f"{what} must have the target's size, {size[0]} x {size[1]} (H x W), got "
+            f"{height} x {width}: {describe(pixels)}; give it that size"
+        )
+    return pixels
+
+
+def is_path(image: object) -> bool:
+    """Whether it names a file."""
+    return isinstance(image, (str, os.PathLike))
+
+
+def is_pil(image: object) -> bool:
+    """Whether it is a PIL image."""
+    module = sys.modules.get("PIL.Image")  # not imported: then nobody can have made one
+    return module is not None and isinstance(image, module.Image)
+
+
+def is_torch_tensor(image: object) -> bool:
+    """Whether it is a torch tensor."""
+    torch = sys.modules.get("torch")
+    return torch is not None and isinstance(image, torch.Tensor)
+
+
+def from_tensor(tensor: Any, what: str, raw: bool = False) -> Pixels:
+    """Array of a tensor on any device; ImageError for types that no image has, see `typed`."""
+    try:
+        tensor = tensor.detach().cpu()
+        if tensor.dtype.is_floating_point and tensor.dtype.itemsize <= 2:
+            tensor = tensor.float()  # numpy has no bfloat16
+        array: Pixels = tensor.numpy()
+    except (TypeError, RuntimeError, ValueError) as e:
+        raise ImageError(f"{what}, a {tensor.dtype} tensor, is not an image: {e}") from e
+    return typed(array, what, f"a tensor of {describe(array)}", raw)
+
+
+def unit_range(
+    pixels: Pixels,
+    what: str,
+    on_clip: OnClip | None,
+    hidden: Mask | None = None,
+    values: ValueRange | None = None,
+) -> Pixels:
+    """Values of (..., H, W, C) as floats in [0, 1], itself if they are; `on_clip` None: never clip.
+
+    hidden: (H, W), pixels that are put into this range silently.
+    """
+    given = pixels
+    if values is not None:
+        pixels = _scaled(pixels, values)
+    if pixels.dtype == np.uint8:
+        return np.divide(pixels, np.float32(255), dtype=np.float32, order="C")
+    if pixels.dtype == np.bool_:
+        return pixels.astype(np.float32, order="C")
+    low, high = extremes(pixels)
+    if low >= 0.0 and high <= 1.0:  # False for NaN
+        return pixels
+    seen = pixels
+    if hidden is not None:  # what does not count is looked at only where something is wrong
+        seen, pixels = pixels[..., ~hidden, :], pixels.copy(order="C")
+        pixels[..., hidden, :] = np.clip(np.nan_to_num(pixels[..., hidden, :]), 0.0, 1.0)
+        low, high = extremes(seen)
+    if not (np.isfinite(low) and np.isfinite(high)):
+        bad = seen.size - int(np.count_nonzero(np.isfinite(seen)))
+        raise ImageError(
+            f"{what} must be finite, got {bad} NaN or infinite values in {describe(given)}; "
+            "mend them in the renderer, or replace them with np.nan_to_num"
+        )
+    if low >= 0.0 and high <= 1.0:
+        return pixels
+    if low < -ROUNDING or high > 1.0 + ROUNDING:
+        wide = seen.astype(np.float32) if seen.dtype.itemsize == 2 else seen  # sums above 65504
+        rows = wide.reshape(len(given) if given.ndim == 4 else 1, -1)
+        tell_clipped(rows, (low, high), describe(given), what, on_clip, values)
+    return np.clip(pixels, 0.0, 1.0, order="C")
+
+
+def _scaled(pixels: Pixels, values: ValueRange) -> Pixels:
+    """Floats (..., C) of which [0, 1] is the value range, and the alpha channel has its own."""
+    if pixels.shape[-1] != 4:
+        return values.scaled(pixels)
+    return np.concatenate([values.scaled(pixels[..., :3]), shares(pixels[..., 3:])], axis=-1)
+
+
+def shares(alpha: Pixels) -> Pixels:
+    """An alpha channel in [0, 1] where it is one of whole numbers."""
+    return alpha / np.iinfo(alpha.dtype).max if alpha.dtype.kind in "iu" else alpha
+
+
+def extremes(pixels: Pixels) -> tuple[float, float]:
+    """Smallest and largest value; NaN if there is one."""
+    if pixels.size == 0:
+        return 0.0, 0.0
+    with np.errstate(invalid="ignore"):
+        return float(pixels.min()), float(pixels.max())

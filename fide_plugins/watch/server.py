@@ -1,7 +1,6 @@
 """Serves the page of one run directory, to this machine only.
 
-A page of the web can give 127.0.0.1 a name of its own (DNS rebinding) to read the answers, so a
-request must name the server as 127.0.0.1 or localhost, with its port, in the header Host.
+The header Host must name 127.0.0.1 or localhost: a page of the web may give us another name.
 """
 
 from __future__ import annotations
@@ -19,8 +18,6 @@ from typing import Any
 
 from fide_plugins.errors import OptionError
 from fide_plugins.watch.snapshot import PICTURES, RunFiles
-
-__all__ = ["Server", "serve"]
 
 _PAGE = {
     "/": ("page.html", "text/html; charset=utf-8"),

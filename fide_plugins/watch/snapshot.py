@@ -7,7 +7,6 @@ import io
 import json
 import os
 import struct
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -19,17 +18,13 @@ from fide_plugins.recording.storage import CHECKPOINT, read_record
 from fide_plugins.renderers.naming import flat
 from fide_plugins.runtime.files import MOST_BYTES, read_regular
 from fide_plugins.space import Space
-from fide_plugins.validation.pixels import MAX_PIXELS
-
-__all__ = ["PICTURES", "RunFiles"]
+from fide_plugins.validation.values import MAX_PIXELS
 
 PICTURES = ("target.png", "best.png")
 _PNG = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
 _SIZE = struct.Struct(">II")
 _MOST_OF_JSON = 2**24
 _MOST_POINTS = 1000
-_QUIET = 30.0  # seconds without a new file before a run may be said to have stopped
-_WRITTEN = ("run.json", CHECKPOINT, "curve.csv")
 
 
 class RunFiles:
@@ -68,15 +63,9 @@ class RunFiles:
         if shown["state"] != "running":  # else totals are those of an earlier call
             shown["sentence"] = _text(totals.get("sentence", ""))
             shown["parameters"] = shown["parameters"] or _found(totals)
-        elif self._has_stopped():
+        elif is_under_way(self.path) is False:
             shown["state"] = "stopped without an end; continue with --resume"
         return shown
-
-    def _has_stopped(self) -> bool:
-        """Whether the process of a run was killed: its lock is free, and nothing is written."""
-        marks = (self._mark(name) for name in _WRITTEN)
-        newest = max((mark[0] for mark in marks if mark), default=0) / 1e9
-        return time.time() - newest > _QUIET and is_under_way(self.path) is False
 
     def _read(self, name: str, most: int = MOST_BYTES) -> bytes | None:
         try:

@@ -37,16 +37,6 @@ def test_run_keeps_its_name_and_resumes(capsys: pytest.CaptureFixture[str]) -> N
     assert json.loads(capsys.readouterr().out.splitlines()[-1])["best_loss"] == result["best_loss"]
 
 
-def test_compare_runs_it_in_two_processes() -> None:
-    optimizers = "mine.py:Mine,mine.py:Mine:step=0.05,search:Elitist,random"
-    words = ["compare", "voronoi", *SMALL, "--optimizers", optimizers, "--seeds", 1]
-    assert fide(*words, "--jobs", 2, "--out", "out") == 0
-    report = Path("out/report.md").read_text()
-    for name in ("mine.py:Mine", "mine.py:Mine:step=0.05", "search:Elitist"):
-        assert name in report
-    assert len(list(Path("out/cells").glob("voronoi/mse/*/seed-0/run.json"))) == 4
-
-
 @pytest.mark.parametrize("command", ["run", "compare"])
 def test_errors_come_before_any_render(
     command: str, mine: Path, capsys: pytest.CaptureFixture[str]
@@ -60,22 +50,6 @@ def test_errors_come_before_any_render(
     error = capsys.readouterr().err
     assert "deaf.py:Deaf has no method tell; give it tell(X, losses)" in error
     assert error.count("\n") == 1 and not Path("out").exists()
-
-
-@pytest.mark.parametrize("method", ["__init__", "ask", "tell"])
-def test_sys_exit_is_a_failed_run(
-    method: str, mine: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (mine / "quits.py").write_text(
-        "import sys\nfrom search import Elitist\n\n\nclass Quits(Elitist):\n"
-        f"    def {method}(self, {'dim' if method == '__init__' else '*args'}): sys.exit(0)\n"
-    )
-    assert fide("run", "voronoi", *SMALL, "--optimizer", "quits.py:Quits", "--out", "out") == 1
-    captured = capsys.readouterr()
-    assert captured.out == "" and "sys.exit(0)" in captured.err
-    assert "fide run: the run failed" in captured.err
-    if method != "__init__":
-        assert json.loads(Path("out/run.json").read_text())["state"] == "failed"
 
 
 def test_one_that_takes_images_cannot_be_resumed_and_says_so(

@@ -100,16 +100,6 @@ def test_a_log_gets_a_line_soon_and_then_one_a_minute(
 
 
 @pytest.mark.parametrize(
-    ("done", "seconds", "text"),
-    [(20, 1.0, "50 ms a render"), (2, 16.0, "8 s a render")],
-)
-def test_the_time_of_a_render(
-    done: int, seconds: float, text: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert f"  {text}  " in last_line(capsys, (0, 0.0), (done, seconds))
-
-
-@pytest.mark.parametrize(
     ("limits", "left"),
     [
         ({"budget": 2000}, "about 4.4 h left"),  # 1990 renders of 8 s

@@ -12,9 +12,9 @@ import pytest
 from fide_plugins import FIDE, fit
 from fide_plugins.cli.fit_command import add_arguments
 from fide_plugins.comparison.auto import camera_blur, has_other_colors
-from fide_plugins.comparison.blur import blurred
 from fide_plugins.comparison.light import common_light, fit_light
 from fide_plugins.comparison.mismatch import explanation
+from fide_plugins.comparison.scale_space import blurred
 from fide_plugins.errors import ImageError, OptionError
 from fide_plugins.evaluation import Evaluator
 from fide_plugins.status import Facts, status_of

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from fide_plugins import losses
-from fide_plugins.comparison.blur import blurred
-from fide_plugins.comparison.scale_space import ScaleSpace, predictability
+from fide_plugins.comparison.scale_space import ScaleSpace, blurred, predictability
 from fide_plugins.fide import FIDE
 from fide_plugins.types import Float32, Float64
 from fide_plugins.views import Views

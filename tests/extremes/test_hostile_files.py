@@ -137,7 +137,6 @@ damages = st.lists(
     min_size=1,
     max_size=4,
 )
-WHOLE = (FOLDER / "saved").read_bytes()
 
 
 class Gray:

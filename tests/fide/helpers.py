@@ -34,4 +34,4 @@ def run(opt: FIDE, render: Render, generations: int) -> Float64:
 
 def pending_now(opt: FIDE) -> list[Candidate]:
     """Candidates that were asked and not told, in that order."""
-    return list(opt.state.population._pending.values())
+    return list(opt.state.population.pending.values())

@@ -140,10 +140,10 @@ def test_a_generation_of_any_size_is_completed(popsize: int, asked: int | None) 
     """Also of more candidates than are remembered where nobody tells them."""
     opt = FIDE(2, TINY, seed=0, popsize=popsize, proposer="none", restarts="none")
     X = opt.ask(asked)
-    assert len(X) == 25_000 == opt.state.population.pending
+    assert len(X) == 25_000 == len(opt.state.population.pending)
     mean = opt.state.search.mean
     opt.tell(X[::-1], None, sphere(X[::-1]))
-    assert opt.state.population.pending == 0 and opt.state.injected is None
+    assert len(opt.state.population.pending) == 0 and opt.state.injected is None
     assert opt.state.population.generations == 25_000 // popsize
     assert opt.best is not None and opt.best.loss == sphere(X).min()
     assert (opt.state.search.mean != mean).all()

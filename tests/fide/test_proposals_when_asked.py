@@ -47,7 +47,7 @@ def test_asked_one_by_one_each_proposal_knows_all_that_was_told(
     monkeypatch.setattr(model, "update", update)
     for _ in range(8):
         X = opt.ask(1)
-        waiting = next(iter(opt.state.population._pending.values()))
+        waiting = next(iter(opt.state.population.pending.values()))
         if waiting.proposed:
             assert len(opt.state.samples) == 0 and len(known) == len(opt.state.learned)
         opt.tell(X, render(X))
@@ -73,6 +73,6 @@ def test_proposals_asked_together_are_made_by_one_call_a_generation(
     for _ in range(3):
         calls.clear()
         X = opt.ask(n)
-        made = sum(one.proposed for one in opt.state.population._pending.values())
+        made = sum(one.proposed for one in opt.state.population.pending.values())
         assert sum(calls) == made and len(calls) <= -(-n // 8) + 1
         opt.tell(X, render(X))

@@ -61,13 +61,13 @@ def test_the_books_begin_anew_and_the_curve_goes_on(
     picture = render(np.clip(answer + 0.03, 0, 1)[None])[0]
     opt.retarget(picture)
     assert opt.best is None and opt.solutions() == [] and opt.status.code == "waiting"
-    assert opt.evaluations == told and opt.state.population.pending == 0
+    assert opt.evaluations == told and len(opt.state.population.pending) == 0
     np.testing.assert_array_equal(opt.target, picture)
     assert opt.state.moves.known.exchangeability.blocks is blocks
     opt.tell(out, render(out))  # still out: they count as points that were never asked
     loss = np.square(render(out).astype(np.float64) - picture).mean(axis=(1, 2, 3))
     assert opt.best is not None and opt.best.loss == pytest.approx(loss.min())
-    assert opt.state.population.evaluated == 0
+    assert len(opt.state.population.told) == 0
     before = opt.best.loss
     go_on(opt, render, 6)
     assert opt.evaluations == told + 4 + 18

@@ -195,7 +195,7 @@ def test_loading_waits_for_who_asks_or_tells(target: Float32, render: Render) ->
     opt = begun(target, render, {"popsize": 8})
     state = opt.state_dict()
     thread = threading.Thread(target=opt.load_state_dict, args=(state,))
-    with opt._lock:
+    with opt._lock.held:
         held = opt.state
         thread.start()
         thread.join(0.2)

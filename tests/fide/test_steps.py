@@ -20,7 +20,7 @@ SETTINGS: dict[str, Any] = {"popsize": 8, "seed": 3}
 
 def steps_pending(opt: FIDE) -> int:
     return sum(
-        candidate.role is CandidateRole.STEP for candidate in opt.state.population._pending.values()
+        candidate.role is CandidateRole.STEP for candidate in opt.state.population.pending.values()
     )
 
 
@@ -119,7 +119,7 @@ def test_what_fails_after_the_steps_hands_out_none(
         patched.setattr(FIDE, "_make_next", broken)
         with pytest.raises(ArithmeticError):
             opt.ask(20)
-    assert opt.state.population.pending == 0
+    assert len(opt.state.population.pending) == 0
     opt.tell(X := opt.ask(1), render(X))
 
 

@@ -28,7 +28,7 @@ from fide_plugins.fitting.failures import (
     RenderFailedWarning,
 )
 from fide_plugins.fitting.rendering import Rendered, Renderer
-from fide_plugins.fitting.workers import DaemonThreads, OfExecutor
+from fide_plugins.fitting.workers import OfExecutor
 from fide_plugins.renderers import CommandRenderer
 
 from .scene import SPACE, disk, target
@@ -57,7 +57,7 @@ def test_a_failed_render_is_withdrawn_and_the_first_one_shown(
     if misfortune == "raises":
         assert "raise ValueError" in result.first_failure.details
         assert "rendering.py" not in result.first_failure.details
-    assert result.optimizer.state.population.pending == 0
+    assert len(result.optimizer.state.population.pending) == 0
 
 
 @pytest.mark.thorough
@@ -82,7 +82,7 @@ def test_a_killed_worker_and_a_hanging_render_cost_one_candidate(
         result = fit(render, target(), SPACE, budget=20, workers=2, timeout=timeout, seed=0)
     assert result.evaluations == 20 and result.failures == 1
     assert (tmp_path / "log").stat().st_size == 21
-    assert result.optimizer.state.population.pending == 0
+    assert len(result.optimizer.state.population.pending) == 0
 
 
 def test_a_render_that_ends_the_program_is_a_failed_one() -> None:
@@ -193,14 +193,14 @@ def gated(gate: Path) -> Callable[[Any], Any]:
     return render
 
 
-@pytest.mark.parametrize("pool", [ThreadPoolExecutor, ProcessPoolExecutor, DaemonThreads])
+@pytest.mark.parametrize("pool", [ThreadPoolExecutor, ProcessPoolExecutor])
 def test_waiting_in_the_queue_of_an_executor_is_no_time_of_a_render(
     pool: Any, tmp_path: Path
 ) -> None:
     context = {"mp_context": get_context("spawn")} if pool is ProcessPoolExecutor else {}
     with pool(1, **context) as executor:
         gate = tmp_path / "gate"
-        workers = OfExecutor(executor, Renderer(gated(gate), None), 3, own=False)
+        workers = OfExecutor(executor, Renderer(gated(gate), None), 3)
         first, *_, last = [workers.submit(np.zeros(2)) for _ in range(3)]
         while (began := workers.began(first)) is None or not first.running():
             time.sleep(0.01)

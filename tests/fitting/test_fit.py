@@ -138,7 +138,7 @@ def test_it_stops_at_a_loss_and_by_time_and_when_told() -> None:
     assert told.stopped == "callback" and told.evaluations == 5
 
     class Stopper:
-        def on_improvement(self, event: Event) -> None:
+        def on_evaluation(self, event: Event) -> None:
             assert event.loss == event.best_loss
             raise StopFitting
 
@@ -221,7 +221,7 @@ def test_a_fit_is_stalled_after_many_moves(
         ({"workers": 0, "timeout": 3}, "timeout needs a worker that can be killed"),
         ({"executor": "ship"}, "executor must be 'processes', 'threads'"),
         ({"resume": True}, "resume=True needs the run directory"),
-        ({"callbacks": [3]}, "a callback must be a function or have one of on_start"),
+        ({"callbacks": [3]}, "a callback must be a function or have one of on_eval"),
         ({"popsiz": 3}, "fit has no option 'popsiz' .did you mean 'popsize'"),
     ],
 )

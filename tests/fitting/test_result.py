@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from fide_plugins import Choice, Float, Int, Result, Space, fit, load_run
-from fide_plugins.errors import CheckpointError, FideError, ImageError, OptionError
+from fide_plugins.errors import CheckpointError, FideError, OptionError
 from fide_plugins.recording.storage import RunDirectoryError
 
 V, U = np.mgrid[0:12, 0:12] / 11
@@ -102,7 +102,8 @@ def test_what_is_saved_is_what_out_writes(kept: Result, tmp_path: Path) -> None:
     late.save(tmp_path / "late")
     kept.save(tmp_path / "copy")
     for name in ("late", "copy"):
-        assert {p.name for p in (tmp_path / name).iterdir()} == {p.name for p in kept.out.iterdir()}
+        files = [{p.name for p in out.iterdir()} for out in (tmp_path / name, kept.out)]
+        assert files[0] - {".run.lock"} == files[1] - {".run.lock"}
         assert same(load_run(tmp_path / name), kept)
         more = found(scene, NAMED, ANSWER, budget=84, out=tmp_path / name, resume=True)
         assert more.evaluations == 84
@@ -150,12 +151,8 @@ def test_a_killed_run_is_read_from_its_checkpoint(kept: Result, tmp_path: Path) 
         ("run.json", None, OptionError),
         ("run.ckpt", "", CheckpointError),
         ("run.ckpt", None, RunDirectoryError),
-        ("target.png", "no picture", ImageError),
-        ("solutions", [{"x": [0.5]}], RunDirectoryError),
-        ("solutions", [{"x": [2.0] * 6}], RunDirectoryError),
         ("solutions", {"x": 3}, RunDirectoryError),
-        ("sentence", [], RunDirectoryError),
-        ("settings", {"dim": 4, "size": [12, 12], "views": [[3, "a"]]}, RunDirectoryError),
+        ("settings", {"dim": 6, "optimizer": "fide", "size": 12}, CheckpointError),
     ],
 )
 def test_damaged_runs_are_refused_by_name(
@@ -204,11 +201,11 @@ def test_it_is_drawn(kept: Result) -> None:
 
 
 def test_without_an_image_there_is_something_to_show() -> None:
-    def stop(self: object, run: Any) -> None:
+    def fails(params: object) -> Any:
         raise KeyError
 
-    with pytest.raises(FideError) as caught:
-        found(scene, NAMED, ANSWER, callbacks=type("Stop", (), {"on_start": stop})())
+    with pytest.warns(RuntimeWarning), pytest.raises(FideError) as caught:
+        fit(fails, scene(ANSWER), NAMED, workers=0)
     result = caught.value.result  # type: ignore[attr-defined]
     assert result.best is None and "best loss none" in repr(result)
     assert "waiting" not in result._repr_html_() and len(result.plot().axes) == 2
@@ -219,7 +216,7 @@ def test_it_can_be_pickled(kept: Result) -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes on Windows")
-@pytest.mark.parametrize("name", ["run.json", "run.ckpt", "target.png"])
+@pytest.mark.parametrize("name", ["run.json", "run.ckpt"])
 def test_a_pipe_in_a_run_is_refused_and_not_waited_for(
     kept: Result, tmp_path: Path, name: str
 ) -> None:

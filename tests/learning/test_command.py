@@ -102,6 +102,6 @@ def test_a_signal_keeps_what_is_there_and_resume_goes_on(
     assert f"stopped by {signum.name}; what was rendered and learned is kept" in errors
     assert "--resume" in errors and "Traceback" not in errors
     assert {path.name for path in Path("m.fide.renders").iterdir()} == {
-        *("settings", "training", "000000.npz", "000001.npz", "000002.npz")
+        *(".learn.lock", "settings", "training", "000000.npz", "000001.npz", "000002.npz")
     }
     assert fide("learn", *words, 1, "--resume") == 0

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from fide_plugins.losses.mse import MeanSquaredError
+from fide_plugins.losses.base import MeanSquaredError
 
 RNG = np.random.default_rng(6)
 

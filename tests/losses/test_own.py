@@ -11,7 +11,7 @@ import pytest
 
 from fide_plugins import FIDE, losses
 from fide_plugins.errors import LossError
-from fide_plugins.losses.mse import MeanSquaredError
+from fide_plugins.losses.base import MeanSquaredError
 from fide_plugins.types import Float32
 
 Loss = Callable[[Any], Any]

@@ -26,6 +26,6 @@ def index_of(population: Population, x: Float64, loss: float) -> int | None:
 
 def hand_out(population: Population, n: int) -> list[Float64]:
     """The next n candidates; proposals are made when the first of them is asked for."""
-    if n > population.queued and len(population.reserved):
+    if n > len(population.queue) and len(population.reserved):
         population.add_proposals(population.reserved, population.reserved + 2.0)
     return [population.hand_out().x for _ in range(n)]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from fide_plugins.population.candidate import Memory, TrainingSample
+from fide_plugins.population import Memory, TrainingSample
 
 TOKENS = torch.zeros(16, 80)  # 5,120 bytes
 BYTES = 5120 + 16

@@ -33,11 +33,11 @@ def test_members_are_in_the_order_of_asking_whatever_that_of_telling() -> None:
 
 def test_remaining_and_pending_count() -> None:
     population = drawn(5)
-    assert (population.remaining, population.pending) == (5, 0)
+    assert (population.remaining, len(population.pending)) == (5, 0)
     xs = hand_out(population, 3)
-    assert (population.remaining, population.pending) == (2, 3)
+    assert (population.remaining, len(population.pending)) == (2, 3)
     population.record(xs[1], 0.0)
-    assert (population.remaining, population.pending) == (2, 2)
+    assert (population.remaining, len(population.pending)) == (2, 2)
 
 
 @pytest.mark.parametrize("saved", [False, True])
@@ -46,7 +46,7 @@ def test_proposals_take_the_places_of_the_samples_that_are_reserved_for_them(sav
     x = np.linspace(0, 1, 5)[:, None]
     population.draw(x[:2], x[:2], x[2:])
     assert population.size == population.remaining == population.drawn == 5
-    assert (population.queued, len(population.reserved)) == (2, 3)
+    assert (len(population.queue), len(population.reserved)) == (2, 3)
     population.add_proposals(*2 * [population.reserved[:1]])
     if saved:
         population = Population.from_state(population.state_dict(), 1)
@@ -113,7 +113,8 @@ def test_state_goes_on(told: int) -> None:
     copy = Population.from_state(original.state_dict(), 2)
     outcomes = []
     for population in (original, copy):
-        assert (population.remaining, population.pending, population.drawn) == (2, 5 - told, 12)
+        assert (population.remaining, population.drawn) == (2, 12)
+        assert len(population.pending) == 5 - told
         rest = [x.tolist() for x in hand_out(population, 2)]
         indices = [index_of(population, x, 0.5) for x in xs[4 + told :]]
         members, losses = population.close_generation()
@@ -128,7 +129,7 @@ def awaited(population: Population, size: int) -> int:
     """How many are awaited in a generation of that size, also after saving."""
     population.size = size
     copy = Population.from_state(population.state_dict(), 1)
-    assert copy.awaited == population.awaited and copy.pending == population.pending
+    assert copy.awaited == population.awaited and len(copy.pending) == len(population.pending)
     return population.awaited
 
 

@@ -32,7 +32,7 @@ def test_spare_candidates_do_not_count() -> None:
     members, losses = population.close_generation()
     assert [c.index for c in members] == [0, 1, 2, 3]
     np.testing.assert_array_equal(losses, [1.0, 0.5, 1.0, 1.0])
-    assert not population.complete and population.evaluated == 0
+    assert not population.complete and len(population.told) == 0
 
 
 def test_a_spare_candidate_counts_in_the_place_of_one_that_was_withdrawn() -> None:
@@ -87,7 +87,7 @@ def test_what_is_later_than_all_others_is_not_awaited(saved: bool) -> None:
         generation += 1
     if saved:
         population = Population.from_state(population.state_dict(), 2)
-    assert population.pending == 20
+    assert len(population.pending) == 20
     assert 1 <= population.awaited <= 4
 
 
@@ -97,12 +97,12 @@ def test_a_step_counts_in_no_generation() -> None:
     xs, steps = hand_out(population, 4), np.array([[0.11, 0.2], [0.12, 0.2], [0.13, 0.2]])
     for x in steps:
         population.adopt(x, x, CandidateRole.STEP)
-    assert population.pending == 7
+    assert len(population.pending) == 7
     candidate = population.record(steps[0], 0.0)
     assert candidate is not None and candidate.role is CandidateRole.STEP
     population.withdraw(steps[1])
     population.withdraw(xs[0])
-    assert population.missing == 4 and population.pending == 4
+    assert population.missing == 4 and len(population.pending) == 4
     for x in (steps[2], *xs[1:]):
         assert not population.complete
         population.record(x, 1.0)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 from scipy.stats import spearmanr
 
 from fide_plugins.options import Options
-from fide_plugins.proposers.image_gate import ImageGate, _correlation, _ranks, adapt_fraction
+from fide_plugins.proposers.image_gate import ImageGate, _correlation, _ranks
 from fide_plugins.types import Float64
 
 TARGET = torch.zeros(2, 5)
@@ -150,7 +152,9 @@ def test_half_the_agreement_half_the_proposals(monkeypatch: pytest.MonkeyPatch) 
 def adapt(losses: Float64, proposed: list[int], fraction: float = 0.5) -> float:
     mask = np.zeros(len(losses), bool)
     mask[proposed] = True
-    return adapt_fraction(fraction, losses, mask, rate=0.2)
+    gate = ImageGate(replace(Options(), proposal_fraction=fraction, fraction_rate=0.2), (None,))
+    gate.note_ranks(losses, mask)
+    return gate.fraction
 
 
 def test_the_fraction_moves_by_the_rate_where_one_kind_is_ahead_throughout() -> None:

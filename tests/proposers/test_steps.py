@@ -9,9 +9,9 @@ from torch import Tensor
 
 from fide_plugins import encoders
 from fide_plugins.options import make_options
-from fide_plugins.population.candidate import TrainingSample
+from fide_plugins.population import TrainingSample
 from fide_plugins.proposers import make_steps
-from fide_plugins.proposers.forward import ForwardProposer, GaussNewtonSteps
+from fide_plugins.proposers.forward import GaussNewtonSteps
 from fide_plugins.types import Float64
 
 D, T, C, K = 3, 4, 5, 10
@@ -31,7 +31,7 @@ UNLIKE = TARGET + torch.as_tensor(np.random.default_rng(2).standard_normal((T, C
 
 
 def taught(n: int = 12, **options: float) -> GaussNewtonSteps:
-    steps = GaussNewtonSteps(ForwardProposer(D, minimum=5), **options)
+    steps = GaussNewtonSteps(D, minimum=5, **options)
     for i, x in enumerate(np.random.default_rng(0).normal(MEAN, STD, (n, D))):
         loss = float(np.square(x - TRUTH).sum())
         steps.add(TrainingSample(i, x, image_of(x), loss, i))
@@ -41,7 +41,7 @@ def taught(n: int = 12, **options: float) -> GaussNewtonSteps:
 def take(steps: GaussNewtonSteps, m: int = 1) -> Float64:
     rng = np.random.default_rng(7)
     z = rng.normal(MEAN, STD, (m, D))
-    x = steps.forward.propose(z, TARGET, MEAN, STD, rng)
+    x = steps.propose(z, TARGET, MEAN, STD, rng)
     steps.taken(m)
     return x
 
@@ -50,9 +50,9 @@ def test_there_are_as_many_as_the_model_promises() -> None:
     """It promises all of the residual of a linear scene, and less of what no parameters make."""
     for target in (TARGET, UNLIKE):
         steps = taught(least_promise=0.0)
-        steps.after_generation()
+        steps.due = True
         left = steps.left(K, target, STD)
-        promise = steps.forward.promised(target, STD)
+        promise = steps.promised(target, STD)
         assert left == round(promise * ALL)
         assert (left == ALL) == (target is TARGET)
     assert 0 < left < ALL
@@ -61,18 +61,18 @@ def test_there_are_as_many_as_the_model_promises() -> None:
 def test_they_come_once_after_each_generation() -> None:
     steps = taught()
     assert steps.left(K, TARGET, STD) == 0  # none is complete
-    steps.after_generation()
+    steps.due = True
     for left in range(ALL, 0, -1):
         assert steps.left(K, TARGET, STD) == left
         take(steps)
     assert steps.left(K, TARGET, STD) == 0
-    steps.after_generation()
+    steps.due = True
     assert steps.left(K, TARGET, STD) == ALL
 
 
 def test_they_end_when_the_model_no_longer_promises_much() -> None:
     steps = taught()
-    steps.after_generation()
+    steps.due = True
     assert steps.left(K, TARGET, STD) == ALL
     assert steps.left(K, UNLIKE * 3, STD) == 0
     assert steps.left(K, TARGET, STD) == 0
@@ -81,9 +81,9 @@ def test_they_end_when_the_model_no_longer_promises_much() -> None:
 @pytest.mark.parametrize("why", ["evaluated", "out", "an earlier step"])
 def test_steps_end_at_one_that_is_not_new(why: str) -> None:
     steps = taught(12)
-    steps.after_generation()
+    steps.due = True
     assert steps.left(K, TARGET, STD) == ALL
-    second = {"evaluated": steps.forward._x[3], "out": MEAN + 0.02, "an earlier step": MEAN}[why]
+    second = {"evaluated": steps.x[3], "out": MEAN + 0.02, "an earlier step": MEAN}[why]
     x = np.stack([MEAN, second, MEAN + 0.01])
     kept = steps.new_ones(x, lambda row: bool((row == MEAN + 0.02).all()))
     np.testing.assert_array_equal(kept, x[:1])
@@ -93,15 +93,15 @@ def test_steps_end_at_one_that_is_not_new(why: str) -> None:
 
 def test_a_step_of_a_linear_scene_goes_to_the_answer() -> None:
     steps = taught(40)
-    steps.after_generation()
+    steps.due = True
     assert steps.left(K, TARGET, STD) == ALL
     assert np.abs(take(steps, 5) - TRUTH).max(axis=1).min() < 1e-3
 
 
 @pytest.mark.parametrize("learned", [False, True])
 def test_state(learned: bool) -> None:
-    first, second = taught(), GaussNewtonSteps(ForwardProposer(D, minimum=5))
-    first.after_generation()
+    first, second = taught(), GaussNewtonSteps(D, minimum=5)
+    first.due = True
     if learned:
         first.left(K, TARGET, STD)
         take(first, 3)

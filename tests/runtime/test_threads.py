@@ -272,7 +272,7 @@ class Counter:
 def free(lock: Lock) -> bool:
     """Whether another thread can take it."""
     taken = []
-    thread = threading.Thread(target=lambda: taken.append(lock._lock.acquire(blocking=False)))
+    thread = threading.Thread(target=lambda: taken.append(lock.held.acquire(blocking=False)))
     thread.start()
     thread.join()
     return bool(taken[0])
@@ -293,7 +293,7 @@ def test_one_thread_at_a_time_and_itself_again() -> None:
 
 def test_copies_and_pickles_are_free() -> None:
     lock = Lock()
-    with lock:
+    with lock.held:
         assert not free(lock)
         assert free(copy.deepcopy(lock))
         assert free(pickle.loads(pickle.dumps(lock)))
@@ -304,7 +304,7 @@ def test_free_in_a_forked_process(forked: Callable[[Callable[[], object]], str])
     lock, release = Lock(), threading.Event()
 
     def hold() -> None:
-        with lock:
+        with lock.held:
             release.wait()
 
     holder = threading.Thread(target=hold)
@@ -312,7 +312,7 @@ def test_free_in_a_forked_process(forked: Callable[[Callable[[], object]], str])
     while free(lock):
         time.sleep(0.001)
     try:
-        assert forked(lambda: lock._lock.acquire(blocking=False)) == "True"
+        assert forked(lambda: lock.held.acquire(blocking=False)) == "True"
     finally:
         release.set()
         holder.join()

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from fide_plugins import FIDE, Choice, Float, Space
-from fide_plugins.population.candidate import TrainingSample
+from fide_plugins.population import TrainingSample
 from fide_plugins.search.descents import Descents
 from fide_plugins.search.mixed import Axes
 from fide_plugins.search.moves import Stage

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import torch
 
-from fide_plugins import FIDE, Solution, fit
-from fide_plugins.population.candidate import TrainingSample
+from fide_plugins import FIDE, fit
+from fide_plugins.population import TrainingSample
 from fide_plugins.search.mixed import Axes
 from fide_plugins.space import Choice, Float, Int, Space
 from fide_plugins.types import Float32, Float64
-from fide_plugins.uncertainty import LocalEstimate, estimate
+from fide_plugins.uncertainty import LocalEstimate
 from fide_plugins.uncertainty.local_fit import (
     WIDER,
     FitToTarget,
@@ -170,21 +170,6 @@ def test_what_the_picture_does_not_show_is_open_and_the_rest_is_not() -> None:
     assert np.delete(stds, 3, axis=1).max() < 0.05
 
 
-def test_it_is_computed_when_it_is_read_and_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    calls: list[int] = []
-
-    def fit(u: Float64, e: Float64, distances: Float64) -> LocalFit:
-        calls.append(1)
-        return fit_locally(u, e, distances)
-
-    monkeypatch.setattr(estimate, "fit_locally", fit)
-    opt = run(200)
-    best, found = opt.best, opt.solutions()
-    assert best is not None and found and not calls
-    first = best.std
-    assert first is not None and best.std is first and len(calls) == 1
-
-
 def test_saved_and_pickled_it_is_the_same(tmp_path: Path) -> None:
     opt = run(250)
     opt.save(tmp_path / "opt")
@@ -274,12 +259,6 @@ def test_a_parameter_that_never_moved_is_open() -> None:
     assert opt.best.std[1] == pytest.approx(12**-0.5)
 
 
-def test_a_solution_keeps_no_samples_once_it_was_read() -> None:
-    best = run(200).best
-    assert best is not None and best.std is not None
-    assert isinstance(best.estimate, LocalEstimate) and not best.estimate.samples
-
-
 @pytest.mark.thorough
 def test_many_parameters_are_known_as_well_as_noisy_samples_tell() -> None:
     """A linear renderer with noise in each render; the samples are those of a search."""
@@ -297,45 +276,6 @@ def test_many_parameters_are_known_as_well_as_noisy_samples_tell() -> None:
     errors = np.abs(x - truth)
     assert (errors < 1.645 * std).mean() > 0.9
     assert np.median(std) < 4 * np.median(errors), "320 samples would say 8"
-
-
-MANY = Space(
-    a=Float(0, 1), b=Float(0, 1), seen=Choice("u", "v", "w"), unseen=Choice("p", "q", "r"),
-    rows=Int(1, 3), pages=Int(1, 3), shift=Choice("left", "right"),
-)  # fmt: skip
-
-
-@pytest.mark.parametrize("noise", [0.0, 0.01])
-@pytest.mark.parametrize("seed", range(3))
-def test_integers_and_choices_that_change_nothing_are_not_determined(
-    noise: float, seed: int
-) -> None:
-    """Nor one whose change another parameter makes good: `shift` is a step along `a`."""
-    rng = np.random.default_rng(seed)
-    truth = {"a": 0.4, "b": 0.6, "seen": "v", "unseen": "q", "rows": 2, "pages": 1, "shift": "left"}
-    x = MANY.encode(truth)
-    other = rng.random((1000, MANY.dim)) < 0.15
-    X = np.where(other, rng.random((1000, MANY.dim)), x)
-    X[:, :2] = x[:2] + np.geomspace(0.3, 0.02, 1000)[:, None] * rng.normal(size=(1000, 2))
-    X = np.array([MANY.snap(row) for row in np.clip(X, 0, 1)])
-    X[0] = x
-    a, b, floor, step = rng.normal(size=(4, 300)) * np.array([[1], [1], [0.3], [0.2]])
-
-    def features(x: Float64) -> Float64:
-        p = MANY.decode(x)
-        which = ("u", "v", "w").index(p["seen"])
-        moved = p["a"] + 0.1 * (p["shift"] == "right")
-        return np.asarray(moved * a + p["b"] * b + which * floor + p["rows"] * step, np.float64)
-
-    tokens = np.array([features(row) for row in X])
-    tokens += noise * rng.normal(size=tokens.shape)
-    target = torch.as_tensor((features(x) + 0.01 * rng.normal(size=300)).reshape(4, -1))
-    axes, discrete = Axes(MANY.dim, MANY.layout), MANY.layout.discrete
-    estimate = LocalEstimate(x, samples_of(X, tokens), target, None, axes, discrete)
-    one = Solution(x, 0.1, 0, space=MANY, estimate=estimate)
-    sure = {"unseen", "pages"} if noise else {"unseen", "pages", "shift"}  # noise may hide a step
-    assert sure <= set(one.undetermined) <= {"unseen", "pages", "shift"}
-    assert pickle.loads(pickle.dumps(one)).undetermined == one.undetermined
 
 
 SCENE = Space(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from fide_plugins.population.candidate import TrainingSample
+from fide_plugins.population import TrainingSample
 from fide_plugins.search.mixed import Axes
 from fide_plugins.space import Choice, Float, Int, Space
 from fide_plugins.types import Float64, Solution

@@ -8,7 +8,7 @@ from PIL import Image
 
 from fide_plugins.errors import ImageError, ValueRangeError
 from fide_plugins.validation.images import as_batch, as_target
-from fide_plugins.validation.pixels import Clip
+from fide_plugins.validation.values import Clip
 
 RGB = np.random.default_rng(1).random((4, 5, 7, 3), dtype=np.float32)
 GRAY = RGB[..., 0]

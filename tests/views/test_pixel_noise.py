@@ -7,7 +7,7 @@ import pytest
 
 from fide_plugins.types import Float32, Float64
 from fide_plugins.views import Views
-from fide_plugins.views.pixel_noise import PixelNoise, is_even_noise, is_noise
+from fide_plugins.views.findings import PixelNoise, is_even_noise, is_noise
 
 SIDE = 48
 V, U = np.mgrid[0:SIDE, 0:SIDE] / (SIDE - 1)
@@ -134,7 +134,7 @@ def test_it_goes_on_between_the_two_renders() -> None:
         pixel_noise.note(second)
     assert one.variance == other.variance is not None
     one.note(first)
-    one.forget_repeat()
+    one.repeat = None
     one.note(second)
     assert one.variance == other.variance, "renders of another candidate are no measure"
     with pytest.raises(ValueError, match="variance"):

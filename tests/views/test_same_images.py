@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fide_plugins import FIDE, Float, Int, Space, fit
-from fide_plugins.views.same_images import SameImages
+from fide_plugins.views.findings import SameImages
 
 SPACE = Space(x=Float(0, 1), y=Float(0, 1), n=Int(1, 5))
 TARGET = np.linspace(0, 1, 64).reshape(8, 8)

@@ -7,7 +7,7 @@ import pytest
 
 from fide_plugins.types import Float32
 from fide_plugins.views import Views
-from fide_plugins.views.solved import is_solved
+from fide_plugins.views.findings import is_solved
 
 TARGET = np.full((72, 96, 3), 0.5, np.float32)  # 6,912 pixels
 V, U = np.mgrid[0:64, 0:64] / 63

@@ -9,7 +9,7 @@ import pytest
 from fide_plugins import FIDE, Float, Space
 from fide_plugins.errors import CheckpointError, ImageError, OptionError
 from fide_plugins.validation.images import as_batch
-from fide_plugins.validation.pixels import ValueRange
+from fide_plugins.validation.values import ValueRange
 
 V, U = np.mgrid[0:16, 0:16] / 15
 SPACE = Space(x=Float(0, 1), y=Float(0, 1), power=Float(0.5, 2))

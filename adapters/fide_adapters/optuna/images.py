@@ -28,8 +28,6 @@ from fide_adapters.image_loss import ImageReader
 from fide_plugins.evaluation import Evaluator
 from fide_plugins.types import Float32, Float64
 
-__all__ = ["BYTES", "Codec", "ImageEvaluator"]
-
 BYTES = 2600
 """Most bytes of an image; four characters of base64 hold three bytes."""
 
@@ -133,7 +131,7 @@ class ImageEvaluator:
 
         A user's own loss has no name, so all of them are taken for the same one.
         """
-        views, name = self.evaluator.views, self.evaluator.loss_name
+        views, name = self.evaluator.views, self.evaluator.loss.spec
         text = json.dumps([name, views.listed, [view.target.shape for view in views.views]])
         digest = hashlib.blake2b(text.encode(), digest_size=3)
         for view in views.views:

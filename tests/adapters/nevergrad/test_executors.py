@@ -100,4 +100,4 @@ def test_after_an_objective_has_raised_minimize_goes_on(name: str | None, tmp_pa
                 failed += 1
     assert failed > 1 and optimizer.num_ask == 40
     assert optimizer.num_tell == optimizer.num_images == 40 - len(raised)
-    assert optimizer.fide.state.population.pending == 0
+    assert len(optimizer.fide.state.population.pending) == 0

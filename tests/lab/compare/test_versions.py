@@ -19,7 +19,7 @@ from fide_plugins import encoders, losses
 from fide_plugins.encoders.patch import RawPatchEncoder
 from fide_plugins.errors import CheckpointError
 from fide_plugins.learning import learn
-from fide_plugins.losses.mse import MeanSquaredError
+from fide_plugins.losses.base import MeanSquaredError
 from fide_plugins.recording.storage import RunDirectoryError
 from fide_plugins.renderers import FunctionRenderer
 

@@ -14,7 +14,7 @@ from fide_lab.baselines.evolution import Random
 from fide_lab.compare import Configuration, Plan, Results, RunKey, StoredRun
 from fide_lab.compare.results import Curve
 from fide_plugins import losses
-from fide_plugins.losses.mse import MeanSquaredError
+from fide_plugins.losses.base import MeanSquaredError
 
 NASTY = {
     "task": "<b>&task $x$ \\1",

@@ -11,7 +11,7 @@ import torch
 
 from fide_plugins import Choice, Float, Int, Space
 from fide_plugins.options import Options
-from fide_plugins.population.candidate import TrainingSample
+from fide_plugins.population import TrainingSample
 from fide_plugins.search.mixed import Axes, Values
 from fide_plugins.search.moves import ChangeValue, Known
 from fide_plugins.search.one_search import Search, Setting

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from fide_plugins.population.candidate import TrainingSample
+from fide_plugins.population import TrainingSample
 from fide_plugins.search.hypotheses import Hypotheses, Resample
 from fide_plugins.search.mixed import Axes, Values
 from fide_plugins.search.moves import (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fide_plugins.population.candidate import TrainingSample
+from fide_plugins.population import TrainingSample
 from fide_plugins.search.mixed import Axes
 from fide_plugins.search.moves import (
     HalfTurn,

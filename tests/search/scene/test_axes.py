@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from fide_plugins import Choice, Float, Int, Space
-from fide_plugins.population.candidate import TrainingSample
+from fide_plugins.population import TrainingSample
 from fide_plugins.search.mixed import Axes, Values
 from fide_plugins.search.moves import (
     HalfTurn,

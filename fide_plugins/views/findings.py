@@ -1,9 +1,15 @@
-"""Noise that is independent from pixel to pixel, as that of path tracers and cameras is.
+"""What images say of a run: all are equal; one equals the target, or differs by noise alone.
 
-Half of the mean squared difference of two renders of one candidate is the variance of a pixel.
-Where an image is right, its difference from the target is noise of up to twice that: neighbors are
-not correlated, and no mean of 3 x 3 to 8 x 8 pixels stands out.  Where the target has more noise
-than the renders, it must be as strong all over the picture.
+To the eye an image equals the target where this holds, in steps of 1/255 of the target's range of
+values, in the color in which that is largest, less half of the target's own step of rounding.  The
+mean square is at most 1/12, that of rounding to steps.  At most one pixel in 1,000, and ten, are
+off by more than one step in a color, none by more than 16, and no 3 x 3 pixels hold more than two.
+
+Noise of path tracers and cameras is independent from pixel to pixel.  Half of the mean squared
+difference of two renders of one candidate is the variance of a pixel.  Where an image is right, its
+difference from the target is noise of up to twice that: neighbors are not correlated, and no mean
+of 3 x 3 to 8 x 8 pixels stands out.  Where the target has more noise than the renders, it must be
+as strong all over the picture.
 """
 
 from __future__ import annotations
@@ -15,11 +21,110 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 from scipy.special import chdtrc, ndtri, stdtrit
 
+from fide_plugins.runtime.messages import warn_user
 from fide_plugins.runtime.schema import Schema, array, check, maybe, real
 from fide_plugins.types import Float32, Float64
-from fide_plugins.views.views import Views
+from fide_plugins.views.views import DIGITS, View, Views
 
-__all__ = ["PixelNoise", "is_even_noise", "is_noise"]
+# -- all images are equal --------------------------------------------------------------------------
+
+_ENOUGH = 32  # candidates, which lie around the start, so that a parameter may show only elsewhere
+_SAME = 2e-6  # a GPU renders the same image with other last bits: by 1e-7 to 1e-6
+_RELATIVE, _ABSOLUTE = 1e-4, 1e-9  # by which losses of such images differ at most
+
+
+class SameImages:
+    """Whether all images that were told so far are equal, but for rounding on a GPU.
+
+    A run that was loaded does not know.  Where losses differ, they were told beside the images and
+    judge something else: nothing is said.
+
+    generation: candidates of a generation, of which each counts before anything is said.
+    """
+
+    def __init__(self, generation: int) -> None:
+        self._enough = max(generation, _ENOUGH)
+        self._first: tuple[Float64, Float32, float] | None = None  # point, image and loss
+        self._count: int | None = 0  # None: two images differ, or it is not known
+        self._moved = False  # whether there are two different points
+
+    @property
+    def number(self) -> int:
+        """How many candidates have the same image; 0: too few to say so."""
+        count = self._count if self._moved else 0
+        return count if count and count >= self._enough else 0
+
+    def forget(self) -> None:
+        """Say nothing from now on."""
+        self._count = self._first = None
+
+    def note(self, points: Float64, images: Float32 | None, losses: Float64) -> None:
+        """Note images (n, H, W, 3) and losses (n,) of points (n, d); warns once if all are equal.
+
+        images: None: nothing is known of these candidates.
+        """
+        if self._count is None or not len(points):
+            return
+        if images is None:
+            self.forget()
+            return
+        if self._first is None:
+            self._first = points[0].copy(), images[0].copy(), float(losses[0])
+        point, image, loss = self._first
+        with np.errstate(over="ignore"):  # of the largest numbers
+            close = np.isclose(losses, loss, rtol=_RELATIVE, atol=_ABSOLUTE).all()
+        if not (close and (abs(images - image) <= _SAME).all()):
+            self.forget()
+            return
+        known, self._count = self.number, self._count + len(points)
+        self._moved = self._moved or bool((points != point).any())
+        if self.number and not known:
+            warn_user(
+                f"all images of the first {self.number} candidates are equal: no parameter has "
+                "changed the image so far; does render use its parameters, and do their ranges "
+                "change what is seen? (These candidates lie around the start of the search: "
+                "elsewhere in the box images may differ.)"
+            )
+
+
+# -- equal to the target, to the eye ---------------------------------------------------------------
+
+_STEPS = 255
+_ROUNDED = 1 / 12  # mean square of rounding to whole steps
+_FARTHEST = 16  # steps
+_SHARE, _SINGLE = 1e-3, 10  # of the pixels that count, and how many at most
+_TOGETHER = 2  # of 3 x 3
+
+
+def is_solved(views: Views, image: Float32) -> bool:
+    """Whether a packed image (H, W, 3) equals the target, whatever the loss is."""
+    parts = zip(views.views, views.split(image[None]), views.roundings, strict=True)
+    return all(_equals(view, part[0], rounding) for view, part, rounding in parts)
+
+
+def _equals(view: View, image: Float32, rounding: float) -> bool:
+    """Whether an image (H, W, 3) equals a target with this largest error of rounding."""
+    step = (view.contrast if view.contrast > DIGITS else 1.0) / _STEPS
+    errors = np.abs(image - view.target)
+    if rounding:
+        errors = np.maximum(errors - np.float32(rounding + DIGITS), 0, dtype=np.float32)
+    squares = np.square(errors).mean(axis=-1, dtype=np.float64)
+    if np.average(squares, weights=view.weights) > _ROUNDED * step**2:
+        return False
+    largest = errors.max(axis=-1)
+    if view.hidden is not None:
+        largest[view.hidden] = 0
+    differ = largest > step + DIGITS
+    number = int(differ.sum())
+    if float(largest.max()) > _FARTHEST * step + DIGITS or number > min(
+        _SHARE * view.counted, _SINGLE
+    ):
+        return False
+    together = 9 * uniform_filter(differ.astype(np.float64), 3, mode="constant").max()
+    return round(float(together)) <= _TOGETHER
+
+
+# -- different by noise alone ----------------------------------------------------------------------
 
 _LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))  # rows, columns to a neighbor
 _CORRELATED = 0.1  # correlation of neighbors from which on a difference is no noise alone
@@ -50,22 +155,19 @@ class PixelNoise:
 
     def __init__(self, views: Views) -> None:
         self._views = views
-        self._repeat: Float32 | None = None  # a first render of the candidate
+        self.repeat: Float32 | None = None
+        """A first render of the candidate that is rendered twice, while that is tested."""
         self._last: tuple[tuple[object, ...], float | None] = ((), None)  # what `left` said
         self.variance: float | None = None
         """Mean over pixels of the variance of their values; None where it was not measured."""
 
     def note(self, image: Float32) -> None:
         """Note a render (H, W, 3) of the candidate that is rendered twice; it is kept, no copy."""
-        if self._repeat is None:
-            self._repeat = image
+        if self.repeat is None:
+            self.repeat = image
             return
-        self.variance = _mean_square(self._views.differences(image, self._repeat)) / 2
-        self._repeat = None
-
-    def forget_repeat(self) -> None:
-        """The test is over, also if only one render came back."""
-        self._repeat = None
+        self.variance = _mean_square(self._views.differences(image, self.repeat)) / 2
+        self.repeat = None
 
     def left(self, image: Float32, target: Float32) -> float | None:
         """Standard deviation of a pixel, if noise is all in which an image differs from a target.
@@ -77,7 +179,7 @@ class PixelNoise:
             return None
         asked = (image, target, self.variance)
         if list(map(id, self._last[0])) != list(map(id, asked)):  # `_last` keeps them alive
-            self._last = asked, self._left(image, target, self.variance)
+            self._last = asked, self._left(*asked)
         return self._last[1]
 
     def _left(self, image: Float32, target: Float32, variance: float) -> float | None:
@@ -91,12 +193,12 @@ class PixelNoise:
 
     def state_dict(self) -> dict[str, Any]:
         """Everything; the image is the one in use, not a copy."""
-        return {"variance": self.variance, "repeat": self._repeat}
+        return {"variance": self.variance, "repeat": self.repeat}
 
     def load_state_dict(self, state: Mapping[str, Any], sides: Mapping[str, int]) -> None:
         """Put back what `state_dict` gave; raises ValueError for what it cannot have given."""
         check(state, _SCHEMA, dict(sides), "pixel_noise")
-        self.variance, self._repeat = state["variance"], state["repeat"]
+        self.variance, self.repeat = state["variance"], state["repeat"]
 
 
 def _mean_square(differences: list[Float64]) -> float:

@@ -1,9 +1,7 @@
-"""Rules of types, axes and values, for images that are an array or a torch tensor."""
+"""Values of images: their types, which of them are black and white, and what lies beyond."""
 
 from __future__ import annotations
 
-import os
-import sys
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final, TypeAlias
@@ -32,35 +30,6 @@ MAX_PIXELS = 2**26
 def describe(pixels: Any) -> str:
     """Shape and dtype of an array or a tensor, for errors."""
     return f"shape {tuple(pixels.shape)}, dtype {str(pixels.dtype).removeprefix('torch.')}"
-
-
-def is_path(image: object) -> bool:
-    """Whether it names a file."""
-    return isinstance(image, (str, os.PathLike))
-
-
-def is_pil(image: object) -> bool:
-    """Whether it is a PIL image."""
-    module = sys.modules.get("PIL.Image")  # not imported: then nobody can have made one
-    return module is not None and isinstance(image, module.Image)
-
-
-def is_torch_tensor(image: object) -> bool:
-    """Whether it is a torch tensor."""
-    torch = sys.modules.get("torch")
-    return torch is not None and isinstance(image, torch.Tensor)
-
-
-def from_tensor(tensor: Any, what: str, raw: bool = False) -> Pixels:
-    """Array of a tensor on any device; ImageError for types that no image has, see `typed`."""
-    try:
-        tensor = tensor.detach().cpu()
-        if tensor.dtype.is_floating_point and tensor.dtype.itemsize <= 2:
-            tensor = tensor.float()  # numpy has no bfloat16
-        array: Pixels = tensor.numpy()
-    except (TypeError, RuntimeError, ValueError) as e:
-        raise ImageError(f"{what}, a {tensor.dtype} tensor, is not an image: {e}") from e
-    return typed(array, what, f"a tensor of {describe(array)}", raw)
 
 
 def typed(array: Pixels, what: str, got: str, raw: bool = False) -> Pixels:
@@ -251,10 +220,6 @@ class Clipping:
         self.images, self.high, self.low = images, high, min(self.low, clip.low)
         self.lit, self.above, self.total = lit, above, total
 
-    def copy(self) -> Clipping:
-        """The same, to be changed in a step that may fail."""
-        return replace(self)
-
     def state_dict(self) -> dict[str, Any]:
         """Everything."""
         return saved_values(self)
@@ -274,125 +239,25 @@ def warn_clipped(clip: Clip) -> None:
     Clipping()(clip)
 
 
-# -- axes ------------------------------------------------------------------------------------------
+# -- telling of what lies beyond -------------------------------------------------------------------
 
-Size: TypeAlias = tuple[int, int]  # (H, W)
-
-CHANNELS = (1, 3, 4)  # gray, RGB, RGBA
-_VIEWS = "of several pictures make views: list(image), and let render return such a list"
-
-
-def check_axes(pixels: Any, what: str) -> None:
-    """Raise ImageError unless the axes are those of one image."""
-    if pixels.ndim not in (2, 3):
-        remedy = f"; {_VIEWS}" if pixels.ndim == 4 else ""
-        if pixels.ndim == 4 and len(pixels) == 1:
-            remedy = "; take it out of its batch of one, image[0]"
-        raise ImageError(
-            f"{what} must have axes (H, W) or (H, W, C), got {describe(pixels)}{remedy}"
-        )
-
-
-def check_batch_axes(pixels: Any, size: Size | None, what: str) -> None:
-    """Raise ImageError unless the axes are those of a batch."""
-    has_channels = pixels.ndim == 3 and pixels.shape[2] in CHANNELS  # as n gray images could
-    single = pixels.ndim == 2 or (has_channels and tuple(pixels.shape[1:]) != size)
-    if single or pixels.ndim not in (3, 4):
-        raise ImageError(
-            f"{what} must have axes (n, H, W, C), or (n, H, W) for gray, got {describe(pixels)}"
-            + ("; for a single image write image[None]" if single else "")
-        )
-
-
-def check_count(count: int, n: int | None) -> None:
-    """Raise ImageError unless there are n images."""
-    if n is not None and count != n:
-        raise ImageError(f"there must be one image per point: got {count} images for {n} points")
-
-
-def channels_last(pixels: Any, batch: int, may_be_first: bool, size: Size | None, what: str) -> Any:
-    """View of `pixels` as (..., H, W, C), after `batch` (0 or 1) leading axes; checks the size.
-
-    may_be_first: whether channels may come before H and W, as in torch tensors.
-    """
-    if pixels.ndim == batch + 2:
-        pixels = pixels[..., None]
-    else:
-        first, *rest = pixels.shape[batch:]
-        if may_be_first and first in CHANNELS and size in (None, tuple(rest)):
-            pixels = np.moveaxis(pixels, batch, -1)
-        elif pixels.shape[-1] not in CHANNELS:
-            move = "np.moveaxis(image, -3, -1) puts the channels last"
-            raise ImageError(
-                f"{what} must have 1, 3 or 4 channels in its last axis, got {describe(pixels)}; "
-                f"{move if first in CHANNELS else _VIEWS}"
-            )
-    height, width = pixels.shape[batch : batch + 2]
-    if height == 0 or width == 0:
-        raise ImageError(f"{what} is empty: {describe(pixels)} has no pixels")
-    if size is not None and size != (height, width):
-        raise ImageError(
-            f"{what} must have the target's size, {size[0]} x {size[1]} (H x W), got "
-            f"{height} x {width}: {describe(pixels)}; give it that size"
-        )
-    return pixels
-
-
-# -- values in [0, 1] ------------------------------------------------------------------------------
-
-_ROUNDING = 1e-6
+ROUNDING = 1e-6
 _LARGEST = 1e30  # of values that are added; there is no end to those of fireflies
 
 
-def unit_range(
-    pixels: Pixels,
+def tell_clipped(
+    seen: Pixels,
+    extremes: tuple[float, float],
+    about: str,
     what: str,
     on_clip: OnClip | None,
-    hidden: Mask | None = None,
-    values: ValueRange | None = None,
-) -> Pixels:
-    """Values of (..., H, W, C) as floats in [0, 1], itself if they are; `on_clip` None: never clip.
-
-    hidden: (H, W), pixels that are put into this range silently.
-    """
-    given = pixels
-    if values is not None:
-        pixels = _scaled(pixels, values)
-    if pixels.dtype == np.uint8:
-        return np.divide(pixels, np.float32(255), dtype=np.float32, order="C")
-    if pixels.dtype == np.bool_:
-        return pixels.astype(np.float32, order="C")
-    low, high = extremes(pixels)
-    if is_unit(low, high):
-        return pixels
-    seen = pixels
-    if hidden is not None:  # what does not count is looked at only where something is wrong
-        seen, pixels = pixels[..., ~hidden, :], pixels.copy(order="C")
-        pixels[..., hidden, :] = np.clip(np.nan_to_num(pixels[..., hidden, :]), 0.0, 1.0)
-        low, high = extremes(seen)
-    if not (np.isfinite(low) and np.isfinite(high)):
-        bad = seen.size - int(np.count_nonzero(np.isfinite(seen)))
-        raise ImageError(
-            f"{what} must be finite, got {bad} NaN or infinite values in {describe(given)}; "
-            "mend them in the renderer, or replace them with np.nan_to_num"
-        )
-    if is_unit(low, high):
-        return pixels
-    if low < -_ROUNDING or high > 1.0 + _ROUNDING:
-        wide = seen.astype(np.float32) if seen.dtype.itemsize == 2 else seen  # sums above 65504
-        rows = wide.reshape(len(given) if given.ndim == 4 else 1, -1)
-        _tell_clipped(rows, describe(given), what, on_clip, values)
-    return np.clip(pixels, 0.0, 1.0, order="C")
-
-
-def _tell_clipped(
-    seen: Pixels, about: str, what: str, on_clip: OnClip | None, values: ValueRange | None
+    values: ValueRange | None,
 ) -> None:
-    """Tell `on_clip` of values beyond [0, 1] in n images: seen (n, values)."""
-    low, high = ends = extremes(seen)
+    """Tell `on_clip` of values beyond [0, 1] in n images: seen (n, values), and their extremes."""
+    low, high = ends = extremes
     if values is not None:
         ends = values.low + low * values.span, values.low + high * values.span
-    of_bytes = values is None and low >= 0.0 and 2.0 < high <= 255 + _ROUNDING
+    of_bytes = values is None and low >= 0.0 and 2.0 < high <= 255 + ROUNDING
     of_bytes = of_bytes and bool((seen == seen.round()).all())
     got, rule = f"values in [{ends[0]:.6g}, {ends[1]:.6g}], {about}", values or "[0, 1]"
     remedy = (
@@ -411,34 +276,9 @@ def _tell_clipped(
         raise refused(f"{what} must have values in {rule}, got {got}; {remedy}")
     hint = f"; if they are no overshoot, {remedy}" if high > 2.0 or low < -1.0 else ""
     told = f"{what} has {got}; they are clipped to {rule}{hint}"
-    beyond = (seen > 1.0 + _ROUNDING).any(1)
-    images = int((beyond | (seen < -_ROUNDING).any(1)).sum())
+    beyond = (seen > 1.0 + ROUNDING).any(1)
+    images = int((beyond | (seen < -ROUNDING).any(1)).sum())
     bright = seen[beyond]
     above = bright[bright > 1.0]
     total = float(above.clip(0.0, _LARGEST).sum())
     on_clip(Clip(told, images, *ends, int((bright > _LIT).sum()), above.size, total))
-
-
-def _scaled(pixels: Pixels, values: ValueRange) -> Pixels:
-    """Floats (..., C) of which [0, 1] is the value range, and the alpha channel has its own."""
-    if pixels.shape[-1] != 4:
-        return values.scaled(pixels)
-    return np.concatenate([values.scaled(pixels[..., :3]), shares(pixels[..., 3:])], axis=-1)
-
-
-def shares(alpha: Pixels) -> Pixels:
-    """An alpha channel in [0, 1] where it is one of whole numbers."""
-    return alpha / np.iinfo(alpha.dtype).max if alpha.dtype.kind in "iu" else alpha
-
-
-def extremes(pixels: Pixels) -> tuple[float, float]:
-    """Smallest and largest value; NaN if there is one."""
-    if pixels.size == 0:
-        return 0.0, 0.0
-    with np.errstate(invalid="ignore"):
-        return float(pixels.min()), float(pixels.max())
-
-
-def is_unit(low: float, high: float) -> bool:
-    """Whether values from low to high lie in [0, 1]; False for NaN."""
-    return low >= 0.0 and high <= 1.0
