@@ -116,8 +116,6 @@ class Schedule:
         """Size at which the optimizer compares; None: the target's."""
         return None if len(self.sizes) == 1 or self.sizes[k] == self._full else self.sizes[k]
 
-    # -- what the loop asks ------------------------------------------------------------------------
-
     def begin(self) -> None:
         """Compare at the first size; before anything was told."""
         if self._shown(self.k) != self._optimizer.evaluator.size:
@@ -128,19 +126,11 @@ class Schedule:
         if self._next is not None:
             after, self._next = self._next, None
             return self._rise(*after)
-        if (
-            self._again is None
-            and self._losses
-            and self._since >= self._every
-            and self._takes_samples
-        ):
+        due = self._losses and self._since >= self._every
+        if self._again is None and due and self.samples < self._most:
             self._since, self._again = 0, (self._last_told, self._losses[-1])
             return self._last_told[None]
         return None
-
-    @property
-    def _takes_samples(self) -> bool:
-        return self.samples < self._most
 
     def rise_to_finest(self) -> Float64 | None:
         """The best candidate (1, d), to be judged by the finest render; None if it was."""
@@ -169,8 +159,6 @@ class Schedule:
         self._best, self._best_at = math.inf, 0
         return x[None].copy()
 
-    # -- what comes back ---------------------------------------------------------------------------
-
     def received(self, x: Float64, outcome: Outcome) -> str:
         """What becomes of a render of x (d,): "tell", "again" for finer, or "drop"."""
         current = outcome.fineness in (None, (self.k, self.samples))
@@ -183,9 +171,13 @@ class Schedule:
             waits = self._rising is None and not self._optimizer.evaluations
             return "again" if waits else "drop"
         if self.k not in self._works:
-            outcome = self._checked(outcome)
-            if isinstance(outcome, Failed):
-                self._go_larger(outcome)
+            failed = outcome if isinstance(outcome, Failed) else self._wrong(outcome)
+            if failed is not None:
+                height, width = self.sizes[self.k]
+                self._refused = f"at {width} x {height} pixels: {failed.reason}"
+                self.k += 1
+                if self._rising is None:
+                    self.begin()
                 return "again"
             self._works.append(self.k)
         if isinstance(outcome, Failed):
@@ -193,32 +185,6 @@ class Schedule:
                 self._refused, self.k = None, 0
                 self.begin()
             return "tell"
-        self._say_what_failed()
-        if self._rising is not None:
-            start, std = self._rising
-            self._rising = None
-            compare_finer(self._optimizer, self._shown(self.k), start, std)
-        return "tell"
-
-    def _checked(self, outcome: Outcome) -> Outcome:
-        """The render, or that it has not the size that was asked."""
-        if isinstance(outcome, Failed):
-            return outcome
-        evaluator = self._optimizer.evaluator.at_size(self._shown(self.k))
-        try:
-            evaluator.colors(as_told(self._optimizer, outcome.image), 1, Clipping().note)
-        except ImageError as error:
-            return Failed.no_fit(error, outcome.image)
-        return outcome
-
-    def _go_larger(self, failed: Failed) -> None:
-        height, width = self.sizes[self.k]
-        self._refused = f"at {width} x {height} pixels: {failed.reason}"
-        self.k += 1
-        if self._rising is None:
-            self.begin()
-
-    def _say_what_failed(self) -> None:
         if self._refused is not None:
             height, width = self.sizes[self.k]
             warn_user(
@@ -226,6 +192,20 @@ class Schedule:
                 " and are used"
             )
             self._refused = None
+        if self._rising is not None:
+            start, std = self._rising
+            self._rising = None
+            compare_finer(self._optimizer, self._shown(self.k), start, std)
+        return "tell"
+
+    def _wrong(self, outcome: Rendered) -> Failed | None:
+        """What is wrong with a render that has not the size that was asked."""
+        evaluator = self._optimizer.evaluator.at_size(self._shown(self.k))
+        try:
+            evaluator.colors(as_told(self._optimizer, outcome.image), 1, Clipping().note)
+        except ImageError as error:
+            return Failed.no_fit(error, outcome.image)
+        return None
 
     def _note_pair(self, first: float, outcome: Rendered) -> None:
         evaluator = self._optimizer.evaluator
@@ -299,8 +279,6 @@ class Schedule:
             self._next = (self.k + 1, self.samples)
         else:
             self._next = (self.k, min(self._most, _RISE * self.samples))
-
-    # -- saving ------------------------------------------------------------------------------------
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that changes."""

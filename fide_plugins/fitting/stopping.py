@@ -82,13 +82,18 @@ class Stopping:
             return "stop_at"
         if self.until == "budget" or not (improved or len(losses) % optimizer.popsize == 0):
             return None
-        if _is_solved(optimizer):
+        best_known = optimizer.state.best
+        image = None if best_known is None else best_known.solution.image
+        if image is not None and is_solved(optimizer.views, image):
             return "solved"
         if len(losses) % optimizer.popsize:
             return None
         # to look for noise takes time, so it is not done while the loss still falls
         converged = _is_converged(losses, best, optimizer)
-        if not converged and (self.until == "solved" or _has_fallen(optimizer)):
+        since = (
+            np.inf if best_known is None else optimizer.evaluations - best_known.solution.evaluation
+        )
+        if not converged and (self.until == "solved" or since <= optimizer.popsize):
             return None
         code = optimizer.status.code
         if converged and code == "noise":
@@ -108,19 +113,6 @@ class Stopping:
         """The rules, for a file."""
         found = {"budget": self.budget, "time": self.seconds, "stop_at": self.stop_at}
         return {k: v for k, v in found.items() if v is not None} | {"until": self.until}
-
-
-def _is_solved(optimizer: FIDE) -> bool:
-    best = optimizer.state.best
-    image = None if best is None else best.solution.image
-    return image is not None and is_solved(optimizer.views, image)
-
-
-def _has_fallen(optimizer: FIDE) -> bool:
-    state = optimizer.state
-    if state.best is None:
-        return False
-    return state.evaluations - state.best.solution.evaluation <= optimizer.popsize
 
 
 def _is_converged(losses: Sequence[float], best: float, optimizer: FIDE) -> bool:
