@@ -25,11 +25,10 @@ from fide_plugins.fitting.failures import (
 from fide_plugins.fitting.fidelity import WorkersAsked
 from fide_plugins.fitting.loop import Loop
 from fide_plugins.fitting.pictures import as_compared, as_told, canonical, shown
-from fide_plugins.fitting.planning import Planner
 from fide_plugins.fitting.rendering import Failed, Outcome, Renderer, Workers
 from fide_plugins.fitting.result import Result, result_of
 from fide_plugins.fitting.saved_run import SavedRun, Unsaved
-from fide_plugins.fitting.schedule import Schedule
+from fide_plugins.fitting.schedule import Planner, Schedule
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers import gathered
 from fide_plugins.recording.directory import note_unsaved

@@ -17,7 +17,7 @@ from fide_plugins import encoders
 from fide_plugins.errors import FideError, OptionError
 from fide_plugins.fitting.pictures import best_compared, counting, shown, side_by_side
 from fide_plugins.recording.directory import is_of_a_run, results_in
-from fide_plugins.recording.figures import GAIN, Panel, as_png, difference, thumbnail
+from fide_plugins.recording.figures import GAIN, Panel, as_png, difference, result_figure, thumbnail
 from fide_plugins.recording.parameters import ROUGH, described, is_rough, rows
 from fide_plugins.recording.record import Record, best_so_far
 from fide_plugins.recording.storage import RunDirectoryError, is_saved, read_run, with_optimizer
@@ -105,8 +105,6 @@ class Result:
 
         Views are side by side.  `figure.savefig(path)` writes it.
         """
-        from fide_plugins.recording.plots import result_figure
-
         return result_figure(self._panels(), self.losses, self.loss)
 
     def save(self, path: str | os.PathLike[str]) -> None:

@@ -263,7 +263,7 @@ class RunDirectory:
         Without matplotlib, which is an extra, a warning says so: the run is worth more.
         """
         try:
-            from fide_plugins.recording.plots import summary
+            from fide_plugins.recording.figures import summary
 
             picture = summary(result, target, counts)
         except DependencyError as error:

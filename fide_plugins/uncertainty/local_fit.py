@@ -14,9 +14,6 @@ from scipy.special import fdtri
 
 from fide_plugins.types import Float64, Mask
 
-# -- linear model ----------------------------------------------------------------------------------
-
-
 _ROUNDS = 3  # of weights
 _RIDGE = 1e-4  # of each parameter's own sum of squares
 _NEAR = 3  # times d samples, which say what s is
@@ -182,9 +179,6 @@ def _ridged(normal: Float64) -> Float64:
     return ridged
 
 
-# -- resolution ------------------------------------------------------------------------------------
-
-
 _RESOLVED = 1.1  # times its error, from which on J J^T is more than that
 _CHANCE = 0.99  # quantile of the ratio up to which it may be chance
 _SMALL = 1e-9  # of the mean energy of J, which is the least error
@@ -265,9 +259,6 @@ def _quantiles(changes: Float64) -> Float64:
     )  # tr(S)^2 / tr(S^2)
     quantiles: Float64 = fdtri(features, features * (len(changes) - 1), _CHANCE)
     return quantiles
-
-
-# -- covariance ------------------------------------------------------------------------------------
 
 
 _BOX = 12.0  # one over the variance of the uniform law on [0, 1]

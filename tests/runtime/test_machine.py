@@ -121,7 +121,6 @@ def plain_install(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in [*sys.modules, "matplotlib", "matplotlib.figure"]:
         if name.partition(".")[0] == "matplotlib":
             monkeypatch.setitem(sys.modules, name, None)
-    monkeypatch.delitem(sys.modules, "fide_plugins.recording.plots", raising=False)
 
 
 @pytest.mark.figures

@@ -15,6 +15,7 @@ from fide_plugins.search.mixed import Axes
 from fide_plugins.space import Choice, Float, Int, Space
 from fide_plugins.types import Float32, Float64
 from fide_plugins.uncertainty import LocalEstimate
+from fide_plugins.uncertainty.estimate import aligned
 from fide_plugins.uncertainty.local_fit import (
     WIDER,
     FitToTarget,
@@ -23,7 +24,6 @@ from fide_plugins.uncertainty.local_fit import (
     covariance,
     fit_locally,
 )
-from fide_plugins.uncertainty.samples import aligned
 
 D, F, N = 6, 300, 400
 MIXING = np.random.default_rng(1).normal(size=(D, F))
