@@ -82,18 +82,17 @@ class Stopping:
             return "stop_at"
         if self.until == "budget" or not (improved or len(losses) % optimizer.popsize == 0):
             return None
-        best_known = optimizer.state.best
-        image = None if best_known is None else best_known.solution.image
+        state = optimizer.state
+        image = None if state.best is None else state.best.solution.image
         if image is not None and is_solved(optimizer.views, image):
             return "solved"
         if len(losses) % optimizer.popsize:
             return None
         # to look for noise takes time, so it is not done while the loss still falls
         converged = _is_converged(losses, best, optimizer)
-        since = (
-            np.inf if best_known is None else optimizer.evaluations - best_known.solution.evaluation
-        )
-        if not converged and (self.until == "solved" or since <= optimizer.popsize):
+        last = None if state.best is None else state.best.solution.evaluation
+        fallen = last is not None and state.evaluations - last <= optimizer.popsize
+        if not converged and (self.until == "solved" or fallen):
             return None
         code = optimizer.status.code
         if converged and code == "noise":

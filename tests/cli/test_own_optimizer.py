@@ -50,23 +50,3 @@ def test_errors_come_before_any_render(
     error = capsys.readouterr().err
     assert "deaf.py:Deaf has no method tell; give it tell(X, losses)" in error
     assert error.count("\n") == 1 and not Path("out").exists()
-
-
-def test_one_that_takes_images_cannot_be_resumed_and_says_so(
-    mine: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (mine / "sees.py").write_text(
-        "import os, signal\nfrom search import Elitist\n\n\nclass Sees(Elitist):\n"
-        "    stops = True\n    def tell(self, X, images, losses):\n"
-        "        super().tell(X, losses)\n"
-        "        if self.stops: os.kill(os.getpid(), signal.SIGINT)\n"
-    )
-    words = ["run", "voronoi", *SMALL, "--optimizer", "sees.py:Sees", "--out", "out"]
-    assert fide(*words) == 130
-    err = capsys.readouterr().err
-    assert "sees.py:Sees takes images, which a checkpoint does not hold: no --resume" in err
-    assert "stopped by SIGINT after" in err and "continue with" not in err
-    assert fide(*words, "--resume") == 2
-    (error,) = capsys.readouterr().err.splitlines()
-    assert error.startswith("fide run: sees.py:Sees learns from images, which a checkpoint does no")
-    assert "from the beginning, in another directory" in error

@@ -259,25 +259,6 @@ def test_a_parameter_that_never_moved_is_open() -> None:
     assert opt.best.std[1] == pytest.approx(12**-0.5)
 
 
-@pytest.mark.thorough
-def test_many_parameters_are_known_as_well_as_noisy_samples_tell() -> None:
-    """A linear renderer with noise in each render; the samples are those of a search."""
-    d, n, rng = 200, 1500, np.random.default_rng(0)
-    mixing = rng.normal(size=(d, 768)) / d**0.5
-    truth = rng.uniform(0.3, 0.7, d)
-    spread = np.geomspace(0.15, 0.005, n)[:, None]
-    X = truth + spread * (0.5 * rng.normal(size=d) + rng.normal(size=(n, d)))
-    tokens = X @ mixing + 0.01 * rng.normal(size=(n, 768))
-    target = truth @ mixing + 0.01 * rng.normal(size=768)
-    x = X[np.square(tokens - target).sum(axis=1).argmin()]
-    known = torch.as_tensor(target.reshape(4, -1))
-    std = LocalEstimate(x, samples_of(X, tokens), known, None, Axes(d)).std
-    assert std is not None
-    errors = np.abs(x - truth)
-    assert (errors < 1.645 * std).mean() > 0.9
-    assert np.median(std) < 4 * np.median(errors), "320 samples would say 8"
-
-
 SCENE = Space(
     x=Float(-0.7, 0.7), y=Float(-0.7, 0.7), gray=Float(0.1, 1), shape=Choice("disk", "square"),
     paper=Choice("a4", "a5", "a6"), rows=Int(1, 4), pages=Int(1, 4),
