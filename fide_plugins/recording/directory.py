@@ -130,6 +130,12 @@ class RunDirectory:
         self.path = Path(path)
         self.settings: dict[str, Any] = json.loads(json.dumps(settings))  # as it is read back
         files.check_writable(self.path)
+        if not (self.path / "run.json").exists() and (there := results_in(self.path)):
+            raise RunDirectoryError(
+                f"{self.path} has no run.json, but {', '.join(there)}, which a run may overwrite; "
+                "name another directory, or move that away; if it was a run, copy its run.json "
+                "back to go on with it"
+            )
         with _lock(self.path) as lock:
             how = None if command is None else shlex.join(command)
             self._run: dict[str, Any] = {
@@ -141,12 +147,6 @@ class RunDirectory:
                 self._check(before["settings"], resume, may_change)
                 self._run = {**before, "settings": self.settings, "state": "running"}
                 self._run["resumed"] = [*before.get("resumed", []), now()]
-            elif there := results_in(self.path):
-                raise RunDirectoryError(
-                    f"{self.path} has no run.json, but {', '.join(there)}, which a run may "
-                    "overwrite; name another directory, or move that away; if it was a run, "
-                    "copy its run.json back to go on with it"
-                )
             if limits is not None:
                 self._run["limits"] = limits
             if sources:

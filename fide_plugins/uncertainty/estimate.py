@@ -22,7 +22,7 @@ from fide_plugins.uncertainty.local_fit import (
     NO_EFFECT,
     WIDER,
     FitToTarget,
-    deviations,
+    covariance,
     fit_locally,
     noise_of,
 )
@@ -39,21 +39,6 @@ def features_of(tokens: Sequence[Tensor], channels: int | None) -> Float64:
     """(n, f), of n times tokens (T, C); so many leading channels count, None: all."""
     rows = [one.detach()[..., :channels].cpu().numpy().ravel() for one in tokens]
     return np.array(rows, np.float64)
-
-
-def compressed(e: Float64, target: Float64) -> tuple[Float64, Float64]:
-    """Features (n, f) and those of the target (f,), turned into the few directions they span."""
-    if e.shape[1] <= 2 * (len(e) + 1):
-        return e, target
-    both = np.vstack([e, target])
-    rows: Float64 = np.asarray(np.linalg.qr(both.T, mode="r")).T  # their products are the same
-    return rows[:-1], rows[-1]
-
-
-def floored(distances: Float64) -> Float64:
-    """Squared distances (n,); that of the solution from itself as small as the next one."""
-    moved = distances[distances > 0]
-    return np.maximum(distances, moved.min() if len(moved) else 1.0)
 
 
 def independent(target: Float64, tokens: int, features: Float64) -> int:
@@ -153,21 +138,16 @@ def most_alike(around: Surroundings, missed: float) -> Indices:
     """Rows of the own samples whose images are most like the solution's, in the order of asking.
 
     missed: squared, by how much the solution misses the target.
-    """
-    number = max(_NEAREST, _EACH * int(around.free.sum()))
-    rows = _told_apart(around, missed)
-    return np.sort(rows[np.argsort(around.distances[rows], kind="stable")[:number]])
 
-
-def _told_apart(around: Surroundings, missed: float) -> Indices:
-    """Rows of own samples, without those of which only the last digits differ, if enough are left.
-
-    A search may converge farther than single precision tells.  Where a target with noise is missed
-    by more, steps as short say nothing of how far away the truth is.
+    A search may converge farther than single precision tells.  Samples of which only the last
+    digits differ do not count where the target is missed by more, if enough others are left.
     """
     least = _DIGITS * float(np.square(around.features[around.at]).sum())
-    told = around.own[(around.distances[around.own] >= least) | (around.own == around.at)]
-    return told if missed > least and len(told) >= _least(around.free) else around.own
+    rows = around.own[(around.distances[around.own] >= least) | (around.own == around.at)]
+    if missed <= least or len(rows) < _least(around.free):
+        rows = around.own
+    number = max(_NEAREST, _EACH * int(around.free.sum()))
+    return np.sort(rows[np.argsort(around.distances[rows], kind="stable")[:number]])
 
 
 def _least(free: Mask) -> int:
@@ -314,8 +294,9 @@ class LocalEstimate:
         missed = np.square(around.features - target).sum(axis=1)
         near = most_alike(around, float(missed[around.at]))  # 1
         model = self._fit(around, target, near)  # 2
-        as_far = limits(around, missed, model, deviations(model))  # 3
-        std[around.free] = deviations(model._replace(as_far=as_far))
+        alone = np.sqrt(np.diag(covariance(model)))
+        model = model._replace(as_far=limits(around, missed, model, alone))  # 3
+        std[around.free] = np.sqrt(np.diag(covariance(model)))
         # another value of which an image is as good to 8 bits, or within the noise of the target
         least = _ROUNDING * around.features.shape[1]
         good = missed <= max(missed[around.at] + _as_good(model), least)
@@ -326,7 +307,12 @@ class LocalEstimate:
     def _fit(self, around: Surroundings, target: Float64, near: Indices) -> FitToTarget:
         """The linear model of the samples `near` (m,)."""
         f = independent(target, len(self.target), around.features)
-        e, target = compressed(around.features[near], target)
-        fit = fit_locally(around.steps(near), e, floored(around.distances[near]))
+        e, distances = around.features[near], around.distances[near]
+        if e.shape[1] > 2 * (len(e) + 1):  # the few directions that they span: equal products
+            rows: Float64 = np.asarray(np.linalg.qr(np.vstack([e, target]).T, mode="r")).T
+            e, target = rows[:-1], rows[-1]
+        moved = distances[distances > 0]  # that of the solution from itself is as small as the next
+        distances = np.maximum(distances, moved.min() if len(moved) else 1.0)
+        fit = fit_locally(around.steps(near), e, distances)
         farthest = float(around.distances[around.own].max())
         return FitToTarget(fit, target, f, farthest)
