@@ -17,8 +17,6 @@ from fide_plugins.types import Float64
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
 
-__all__ = ["adapt_light", "compare_again", "compare_finer", "compare_first_at"]
-
 _NARROWEST = 1 / 3  # of the first standard deviation, with which a search begins again
 
 

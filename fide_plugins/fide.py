@@ -381,7 +381,7 @@ class FIDE(Saved):
                 return none
             _, z = search.sample(min(n, left), state.rng)
             v = search.stretched(z)
-            x = steps.forward.propose(v, target, search.mean, search.std, state.rng)
+            x = steps.propose(v, target, search.mean, search.std, state.rng)
         return steps.new_ones(search.place_proposals(x, z), state.population.is_pending)
 
     def _hand_out_steps(self, x: Float64) -> None:

@@ -31,8 +31,6 @@ from fide_plugins.runtime.schema import check, real, text
 from fide_plugins.types import Float32, Float64
 from fide_plugins.views.views import View, Views
 
-__all__ = ["Compared", "Comparison"]
-
 _SMALL = 28  # pixels of a side at which the light is found
 _BACKGROUND = 0.6  # of the loss of the target with its pixels in another order
 _SCALE = 0.7  # of the standard deviation of the target: scale of robust differences

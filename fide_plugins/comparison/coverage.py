@@ -13,8 +13,6 @@ from fide_plugins.validation.images import as_target, is_image
 from fide_plugins.validation.values import OnClip
 from fide_plugins.views.views import Views
 
-__all__ = ["is_pair", "straight", "with_coverage", "without_coverage"]
-
 
 def is_pair(value: object) -> bool:
     """Whether it is a tuple of one image and its coverage (H, W)."""

@@ -1,10 +1,7 @@
 """The light that brings a render nearest to the target: gain, offset and curve of each channel.
 
 They are linear in their coefficients, so the nearest ones have a closed form (variable projection:
-Golub and Pereyra, 1973): ridge regression toward no change, of images reduced to at most 28 x 28
-pixels, with the weights of robust differences.  Where a render is constant, gain, offset and curve
-cannot be told apart, and the prior decides.  Where the nearest would invert a picture, they are
-moved toward no change until they do not.
+Golub and Pereyra, 1973): ridge regression toward no change, of images of at most 28 x 28 pixels.
 """
 
 from __future__ import annotations
@@ -17,16 +14,6 @@ import numpy as np
 
 from fide_plugins.runtime.opencv import cv2
 from fide_plugins.types import Float32, Float64
-
-__all__ = [
-    "EXPOSURE",
-    "NONE",
-    "SHADING",
-    "Light",
-    "fit_light",
-    "robust_factor",
-    "robust_light",
-]
 
 NONE, EXPOSURE, SHADING = "none", "exposure", "shading"
 _NODES = 3  # of the field of gains, in each direction

@@ -35,8 +35,6 @@ from fide_plugins.runtime.opencv import cv2
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.types import Float32
 
-__all__ = ["DenseEncoder", "grid"]
-
 SIDE = 14  # patches along the side of a square image
 MAX_TOKENS = 256
 SAMPLES = 2

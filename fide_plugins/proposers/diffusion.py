@@ -31,6 +31,7 @@ from fide_plugins.proposers.base import Proposer
 from fide_plugins.runtime.devices import resolve_device
 from fide_plugins.runtime.messages import warn_user
 from fide_plugins.runtime.schema import (
+    Plain,
     Schema,
     Sides,
     array,
@@ -221,9 +222,7 @@ class DiffusionProposer(Proposer):
 
     @user_threads
     @torch.inference_mode(False)
-    def load_state_dict(
-        self, state: Mapping[str, Any], sides: Sides | None = None, device: Any = None
-    ) -> None:
+    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
         """Continue bit for bit where `state_dict` was taken; numpy arrays serve as tensors.
 
         sides: T and C of the tokens, if they are known.  Raises ValueError if `state` is none.

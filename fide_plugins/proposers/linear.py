@@ -7,7 +7,6 @@ weights that fall with the rank of the loss, and K (f, d) the ridge regression o
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -17,7 +16,7 @@ from torch import Tensor
 
 from fide_plugins.proposers.base import Proposer
 from fide_plugins.proposers.feature_buffer import FeatureBuffer, explained, ridge
-from fide_plugins.runtime.schema import Schema, Sides, anything, array, check, each, flag
+from fide_plugins.runtime.schema import Plain, Schema, Sides, anything, array, check, each, flag
 from fide_plugins.types import Float64, Indices
 
 if TYPE_CHECKING:
@@ -194,9 +193,7 @@ class LinearProposer(Proposer):
         found = {"x": self._x, "losses": self._losses, "screening": self.screening}
         return found | {"buffers": buffers}
 
-    def load_state_dict(
-        self, state: Mapping[str, Any], sides: Sides | None = None, device: Any = None
-    ) -> None:
+    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
         """Put back what `state_dict` gave; ValueError if it is none."""
         self._fits = {}
         own = {"d": self.dim}

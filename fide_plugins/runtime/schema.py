@@ -16,6 +16,8 @@ from typing import Any, ClassVar, TypeAlias
 import numpy as np
 
 Sides: TypeAlias = dict[str, int]
+Plain: TypeAlias = Mapping[str, Any]
+"""What `state_dict` gives: arrays, tensors, numbers, texts, in lists and dicts."""
 Rule: TypeAlias = Callable[[Any, str, Sides], None]
 Schema: TypeAlias = "Rule | dict[str, Schema]"
 
@@ -78,9 +80,7 @@ class Stateful:
         """All that changes, those values in use, not copies; parts by their own `state_dict`."""
         return {name: packed(getattr(self, self._attribute(name))) for name in self.SCHEMA}
 
-    def load_state_dict(
-        self, state: Mapping[str, Any], sides: Sides | None = None, device: Any = None
-    ) -> None:
+    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
         """Put back what `state_dict` gave; ValueError for what it cannot have given.
 
         sides: of arrays, by their names in the schema, as far as they are known.

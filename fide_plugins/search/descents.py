@@ -12,11 +12,9 @@ import numpy as np
 from torch import Tensor
 
 from fide_plugins.population import TrainingSample
-from fide_plugins.runtime.schema import Schema, Sides, Stateful, array, whole
+from fide_plugins.runtime.schema import Plain, Schema, Sides, Stateful, array, whole
 from fide_plugins.search.mixed import Axes, shorter
 from fide_plugins.types import Float32, Float64
-
-__all__ = ["Descents"]
 
 _ROUNDS = (
     (0.0125, 0.005, 3, "S"),
@@ -189,9 +187,7 @@ class Descents(Stateful):
         """Signed differences (d,) of y from x, the shorter way around."""
         return shorter(y - x, self._axes.periodic)
 
-    def load_state_dict(
-        self, state: Mapping[str, Any], sides: Sides | None = None, device: Any = None
-    ) -> None:
+    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
         """Put back what `state_dict` gave; raises ValueError for what it cannot have given."""
         super().load_state_dict(state)
         for name in ("x", "losses", "damping", "residuals", "jacobians"):

@@ -6,14 +6,14 @@ hypotheses around them.  All other moves but `Refine` and `Resample` come after 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
 
-from fide_plugins.runtime.schema import Schema, Sides, Stateful, array, flag, maybe, real
+from fide_plugins.runtime.schema import Plain, Schema, Sides, Stateful, array, flag, maybe, real
 from fide_plugins.search.mixed import Axes
 from fide_plugins.search.moves import AFTER_DESCENT, Known, Move, Start
 from fide_plugins.search.scene import Exchangeability
@@ -231,9 +231,7 @@ class Hypotheses(Move, Stateful):
         """Whether a candidate x (d,), as it was rendered, is one of the points (n, d)."""
         return bool((self._place(points) == x).all(axis=1).any())
 
-    def load_state_dict(
-        self, state: Mapping[str, Any], sides: Sides | None = None, device: Any = None
-    ) -> None:
+    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
         """Put back what `state_dict` gave; ValueError for what it cannot have given."""
         super().load_state_dict(state, {"d": self._dim})
         for name in ("x", "_refined", "_waiting"):

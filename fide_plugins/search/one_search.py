@@ -7,7 +7,6 @@ unit cube that is rendered.  The maps between them are those of `mixed`.
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -15,7 +14,7 @@ import numpy as np
 
 from fide_plugins.options import Options
 from fide_plugins.population import Candidate, mirrored_pair, search_columns
-from fide_plugins.runtime.schema import Schema, Sides, Stateful, anything, each, real, side
+from fide_plugins.runtime.schema import Plain, Schema, Sides, Stateful, anything, each, real, side
 from fide_plugins.search.cma_es import CMAES
 from fide_plugins.search.mixed import Mixed, closest, inside, into
 from fide_plugins.search.moves import Start
@@ -285,9 +284,7 @@ class Search(Stateful):
             self._mixed.correct(self.distribution)
         self.distribution.mean = self._with_fixed(self.distribution.mean)
 
-    def load_state_dict(
-        self, state: Mapping[str, Any], sides: Sides | None = None, device: Any = None
-    ) -> None:
+    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
         """Go on where `state_dict` was taken; ValueError if it is none."""
         if (state.get("mixed") is None) != (self._mixed is None):
             raise ValueError("search['mixed'] is not of this space")

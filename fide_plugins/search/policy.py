@@ -12,11 +12,12 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from torch import Tensor, device
+from torch import Tensor
 
 from fide_plugins.population import TrainingSample
 from fide_plugins.runtime.schema import (
     GENERATOR,
+    Plain,
     Schema,
     Sides,
     Stateful,
@@ -467,9 +468,7 @@ class MovePolicy:
             **{name: getattr(self.known, name).state_dict() for name in _PARTS},
         }
 
-    def load_state_dict(
-        self, state: Mapping[str, Any], sides: Sides | None = None, device: device | None = None
-    ) -> None:
+    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
         """Put back what `state_dict` gave, tokens on the device; ValueError if it is none."""
         known = self.known
         (tokens, channels), d = known.target.shape, known.dim

@@ -1,7 +1,7 @@
 """Where the search for another picture begins, from what was rendered for earlier ones.
 
-It begins at the candidate b whose image is nearest to the new picture, as wide as those remembered
-candidates say whose images differ from that of b by what is wrong with it.
+At the candidate b whose image is nearest to it, as wide as those candidates say whose images differ
+from that of b by what is wrong with it.
 """
 
 from __future__ import annotations

@@ -7,16 +7,17 @@ from __future__ import annotations
 
 import operator
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
-from torch import Tensor, device
+from torch import Tensor
 
 from fide_plugins.errors import OptionError
 from fide_plugins.population import TrainingSample
 from fide_plugins.runtime.schema import (
+    Plain,
     Schema,
     Sides,
     Stateful,
@@ -236,9 +237,7 @@ class Exchangeability(Stateful):
             if all(len(together(block)) == len(block) for block in layout)
         ]
 
-    def load_state_dict(
-        self, state: Mapping[str, Any], sides: Sides | None = None, device: Any = None
-    ) -> None:
+    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
         """Put back what `state_dict` gave; ValueError for what it cannot have given."""
         for name in ("blocks", "found"):
             within = maybe(array(name, "length", kind="i", low=0, high=self.dim - 1))
@@ -587,9 +586,7 @@ class Optima:
             "forgotten": self.forgotten,
         }
 
-    def load_state_dict(
-        self, state: Mapping[str, Any], sides: Sides | None = None, device: device | None = None
-    ) -> None:
+    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
         """Put back what `state_dict` gave, tokens on the device; ValueError if it is none."""
         check(state, self.SCHEMA, dict(sides or {}), "optima")
         samples = [TrainingSample.from_state(one, device) for one in state["samples"]]
