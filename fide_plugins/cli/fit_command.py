@@ -176,9 +176,6 @@ def _refuse(args: argparse.Namespace, names: tuple[str, ...], given: str) -> Non
             raise OptionError(f"{flag} has no meaning with {given}; {remedy}")
 
 
-# -- a renderer of one's own -----------------------------------------------------------------------
-
-
 def _execute(args: argparse.Namespace, command: list[str]) -> int:
     from fide_plugins.fitting.fitting import FitInterrupted
     from fide_plugins.recording.storage import is_saved

@@ -134,15 +134,17 @@ def _arguments(args: argparse.Namespace) -> dict[str, Any]:
 
 def _renderer(args: argparse.Namespace) -> tuple[Any, Any]:
     """What renders, and its space; None for a task, which knows its own."""
+    from fide_plugins.runtime.registry import is_reference
+
     if (args.source is None) == (args.template is None):
         raise OptionError("name either a SOURCE or a --command; see fide learn --help")
     if args.timeout is not None and args.template is None:
         raise OptionError("--timeout is of --command; leave it out")
+    if args.render_size is not None and is_reference(args.source or ":"):
+        raise OptionError("--render-size is of built-in tasks; leave it out")
     templates = None if args.template is None else [args.template]
     found = own_renderer(args, args.source, templates, raw=False)
     if found is not None:
-        if args.render_size is not None:
-            raise OptionError("--render-size is of built-in tasks; leave it out")
         return found[:2]
     import fide_tasks
 

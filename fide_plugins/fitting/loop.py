@@ -5,6 +5,7 @@ With one worker, the same seed gives the fit of ``x = opt.ask(1); opt.tell(x, [r
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Iterator
@@ -121,8 +122,6 @@ class Loop:
         """Render candidates (n, dim) again that could not be told."""
         self._waiting.extendleft(X[::-1])
 
-    # -- time --------------------------------------------------------------------------------------
-
     def tick(self) -> None:
         """Enter the seconds since the last call in the record."""
         now = time.perf_counter()
@@ -147,8 +146,6 @@ class Loop:
         finally:
             self.record.times["render"] += time.perf_counter() - start
 
-    # -- asking ------------------------------------------------------------------------------------
-
     def _step(self) -> str | None:
         """Wait for a render, and tell it; returns why the run is over, None if it is not."""
         self._fill()
@@ -168,7 +165,10 @@ class Loop:
 
     def _fill(self, free: int = 0) -> None:
         """Give every free worker candidates; free: finished renders that are not told yet."""
-        while len(self._running) - free < self.workers.usable and self._may_ask():
+        budget = self._stopping.budget or math.inf
+        while len(self._running) - free < self.workers.usable:
+            if not self._waiting and self.record.evaluations + len(self._running) >= budget:
+                return
             if not self._waiting:
                 self._ask()
             X = np.array([self._waiting[i] for i in range(self._together())])
@@ -187,16 +187,8 @@ class Loop:
 
     def _together(self) -> int:
         """How many of the waiting candidates are rendered next, as far as the budget allows."""
-        most, budget = self._piece or 1, self._stopping.budget
-        if budget is not None:
-            most = min(most, max(1, budget - self.record.evaluations))
-        return min(most, len(self._waiting))
-
-    def _may_ask(self) -> bool:
-        budget, done = self._stopping.budget, self.record.evaluations
-        return bool(self._waiting) or budget is None or done + len(self._running) < budget
-
-    # -- waiting -----------------------------------------------------------------------------------
+        left = (self._stopping.budget or math.inf) - self.record.evaluations
+        return int(min(self._piece or 1, max(1, left), len(self._waiting)))
 
     def _next(self) -> Task | None:
         """A render that is done, or that has taken too long; None: look at the clock."""
