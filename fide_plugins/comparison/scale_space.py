@@ -234,17 +234,18 @@ def contrast(views: Views, kept: Kept, blur: float) -> float:
     return float(np.mean(found)) if found else 0.0
 
 
-def _flat(seen: list[tuple[int, Float64, list[Float32]]], share: float) -> Float64:
+def _flat(seen: list[tuple[int, Float64, list[Float32]]], share: float) -> Float32:
     """Blurred images as rows (n, ...); share: standard deviation in sides of the image."""
     side = min(min(part.shape[:2]) for part in seen[0][2])
-    rows = [
-        np.concatenate([blurred(part, share * side).ravel() for part in images])
-        for _, _, images in seen
-    ]
-    return np.array(rows, np.float64)
+    return np.array(
+        [
+            np.concatenate([blurred(part, share * side).ravel() for part in images])
+            for _, _, images in seen
+        ]
+    )
 
 
-def predictability(images: Float64, X: Float64) -> float:
+def predictability(images: Float32 | Float64, X: Float64) -> float:
     """How well parameters X (n, d) follow from images (n, p) by a linear model, in [0, 1].
 
     The mean over the parameters of 1 - e / v, at least 0, with e the mean squared error of the
@@ -252,8 +253,8 @@ def predictability(images: Float64, X: Float64) -> float:
     seven that is best.
     """
     n = len(X)
-    centered = images - images.mean(axis=0)
-    values, vectors = np.linalg.eigh(centered @ centered.T)
+    centered = images - images.mean(axis=0, dtype=np.float64).astype(images.dtype)
+    values, vectors = np.linalg.eigh((centered @ centered.T).astype(np.float64))
     values = np.maximum(values, 0.0)
     if not values.any():
         return 0.0

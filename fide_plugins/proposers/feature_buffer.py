@@ -97,8 +97,8 @@ class FeatureBuffer(Stateful):
         missing: Float64 = self._toward[1] - self.gram[sources]
         return missing
 
-    def missing(self, target: Tensor, source: int) -> Float64:
-        """e* - e_i for the source i, (f,), in the tokens in use."""
+    def missing(self, target: Tensor, source: int | Indices) -> Float64:
+        """e* - e_i for the source i, (f,), or for several (m, f), in the tokens in use."""
         wanted = self._flat(self._seen(target[None]) - self.origin)[0]
         missing: Float64 = wanted - self.features[source]
         return missing

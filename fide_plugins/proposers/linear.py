@@ -150,7 +150,12 @@ class LinearProposer(Proposer):
             if v not in self._fits or not np.array_equal(self._fits[v][0], std):
                 self._fits[v] = std.copy(), self._regress(buffer, ranks, std)
             fit, full = self._fits[v][1], self.r2_threshold
-            correction[mine] = std * _correct(buffer, fit, sources[mine], target)
+            products = buffer.products(target, sources[mine])
+            deviations = products - (products @ fit.w)[:, None]
+            u = (deviations * np.sqrt(fit.w)) @ fit.coefficients  # (e* - e_i) K
+            if fit.slopes is not None:
+                u += buffer.missing(target, sources[mine]) @ fit.slopes
+            correction[mine] = std * u
             if full:
                 trust[mine] = np.clip(fit.explained, 0.0, full) / full
         a = rng.uniform(*self.step, size=(len(z), 1))
@@ -202,16 +207,3 @@ class LinearProposer(Proposer):
         self._x, self._losses = state["x"], state["losses"]
         for buffer, saved in zip(self._buffers, state["buffers"], strict=True):
             buffer.load_state_dict(saved, {**(sides or {}), "n": own["n"]})
-
-
-def _correct(buffer: FeatureBuffer, fit: _Regression, sources: Indices, target: Tensor) -> Float64:
-    """(e* - e_i) K for the sources i, (m, d)."""
-    products = buffer.products(target, sources)
-    deviations = products - (products @ fit.w)[:, None]
-    corrections: Float64 = (deviations * np.sqrt(fit.w)) @ fit.coefficients
-    if fit.slopes is None:
-        return corrections
-    distinct, which = np.unique(sources, return_inverse=True)
-    missing = np.array([buffer.missing(target, int(i)) for i in distinct])
-    local: Float64 = missing @ fit.slopes
-    return corrections + local[which]

@@ -59,7 +59,7 @@ def is_hopeless(history: list[float], goal: float) -> bool:
 
 
 @dataclass
-class Termination:
+class Termination(Stateful):
     """When one search is over.
 
     Guided by images, it is over when it has *stalled* (`has_stalled`), *collapsed* (it is a
@@ -75,6 +75,7 @@ class Termination:
     history: best loss after each of the last generations, as many as are needed.
     """
 
+    SCHEMA: ClassVar[dict[str, Schema]] = {"history": each(real(high=np.inf))}
     sigma0: float | Float64
     patience: int
     improvement: float
@@ -145,7 +146,7 @@ class Search(Stateful):
         "popsize": side("popsize"),
         "distribution": anything,  # which checks its own
         "mixed": anything,
-        "history": each(real(high=np.inf)),
+        "termination": anything,
     }
 
     def __init__(self, start: Start, goal: float, setting: Setting) -> None:
@@ -170,15 +171,6 @@ class Search(Stateful):
             strict_above=np.inf if start.strict_above is None else start.strict_above,
             to_the_end=start.to_the_end,
         )
-
-    @property
-    def history(self) -> list[float]:
-        """Best loss after each of the last generations."""
-        return self.termination.history
-
-    @history.setter
-    def history(self, history: list[float]) -> None:
-        self.termination.history = history
 
     @property
     def mean(self) -> Float64:

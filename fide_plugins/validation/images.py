@@ -72,7 +72,8 @@ def as_pixels(image: object, what: str, raw: bool = False, size: Size | None = N
     Raises ImageError for types and axes that no image has, `ImageNotFoundError`.
     """
     array, is_tensor = _to_array(image, what, raw)
-    check_axes(array, what)
+    if array.ndim not in (2, 3):
+        raise _other_axes(array, what)
     pixels: Pixels = channels_last(array, 0, is_tensor, size, what)
     return pixels
 
@@ -260,15 +261,12 @@ def _canonical(
     return out
 
 
-def check_axes(pixels: Any, what: str) -> None:
-    """Raise ImageError unless the axes are those of one image."""
-    if pixels.ndim not in (2, 3):
-        remedy = f"; {_VIEWS}" if pixels.ndim == 4 else ""
-        if pixels.ndim == 4 and len(pixels) == 1:
-            remedy = "; take it out of its batch of one, image[0]"
-        raise ImageError(
-            f"{what} must have axes (H, W) or (H, W, C), got {describe(pixels)}{remedy}"
-        )
+def _other_axes(pixels: Any, what: str) -> ImageError:
+    """Error for axes that are not those of one image."""
+    remedy = f"; {_VIEWS}" if pixels.ndim == 4 else ""
+    if pixels.ndim == 4 and len(pixels) == 1:
+        remedy = "; take it out of its batch of one, image[0]"
+    return ImageError(f"{what} must have axes (H, W) or (H, W, C), got {describe(pixels)}{remedy}")
 
 
 def check_batch_axes(pixels: Any, size: Size | None, what: str) -> None:
