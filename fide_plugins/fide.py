@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from torch import Tensor
 
-from fide_plugins import encoders
 from fide_plugins.comparison.kept import Kept
 from fide_plugins.comparison.scale_space import ScaleSpace
 from fide_plugins.encoders.base import PatchEncoder
@@ -30,6 +29,7 @@ from fide_plugins.population import (
 from fide_plugins.proposers import make_proposer, make_steps
 from fide_plugins.proposers.image_gate import ImageGate
 from fide_plugins.runtime.messages import warn_user
+from fide_plugins.runtime.registry import own_name
 from fide_plugins.runtime.schema import array, check, each, maybe, whole
 from fide_plugins.runtime.threads import Lock, one_at_a_time, one_thread, timed
 from fide_plugins.saving import Saved
@@ -150,8 +150,8 @@ class FIDE(Saved):
     ) -> None:
         self.space = dim if isinstance(dim, Space) else None
         self.dim = number_of_parameters("dim", dim.dim if isinstance(dim, Space) else dim)
-        named = {"encoder": encoders.name_of(encoder), "popsize": popsize}
-        self.options = o = make_options(preset, {**named, **options})
+        name = encoder if isinstance(encoder, str | None) else own_name(encoder)
+        self.options = o = make_options(preset, {"encoder": name, "popsize": popsize, **options})
         self.x0 = starting_point(x0, self.dim, self.space)
         self.guess = None if x0 is None else self.x0
         self.sigma0, self.seed = standard_deviations(sigma0, self.dim), new_seed(seed)

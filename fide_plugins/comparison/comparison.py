@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -131,16 +131,21 @@ class Comparison:
 
     def residual(self, image: Float32) -> list[Float32]:
         """Absolute difference (H, W) of each view, mean of the channels; image: (H, W, C)."""
+        return [one.residual(x, cover) for _, one, x, cover in self._parts(image)]
+
+    def _parts(
+        self, image: Float32, blur: float | None = None
+    ) -> Iterator[tuple[View, _OneView, Float32, Float32 | None]]:
+        """Of each view: its target, and colors and coverage of an image (H, W, C)."""
         parts = self.views.split(image[None])
-        each = zip(self.at().each, parts, strict=True)
-        return [one.residual(*_taken(part[0])) for one, part in each]
+        for view, one, part in zip(self.views.views, self.at(blur).each, parts, strict=True):
+            yield view, one, *_taken(part[0])
 
     def shown(self, image: Float32) -> Float32:
         """A render (H, W, C) in the light of the target, and over it where it covers nothing."""
-        parts, seen = self.views.split(image[None]), []
-        for view, one, part in zip(self.views.views, self.at(0.0).each, parts, strict=True):
-            x, cover = _taken(part[0])
-            x = one.lit(x, cover)
+        seen = []
+        for view, one, colors, cover in self._parts(image, 0.0):
+            x = one.lit(colors, cover)
             if self.light != NONE:
                 x = np.clip(x, 0, 1)
             if cover is not None:
@@ -151,9 +156,7 @@ class Comparison:
     def leftovers(self, image: Float32) -> list[tuple[Float32, Float32, Float32 | None]]:
         """Of each view: the image (H, W, 3) in its light, the sharp target, weights (H, W)."""
         found = []
-        parts = self.views.split(image[None])
-        for view, one, part in zip(self.views.views, self.at(0.0).each, parts, strict=True):
-            x, cover = _taken(part[0])
+        for view, one, x, cover in self._parts(image, 0.0):
             weights = view.weights
             if cover is not None:
                 weights = cover if weights is None else weights * cover

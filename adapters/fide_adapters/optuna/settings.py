@@ -20,7 +20,7 @@ from fide_plugins.fide import FIDE
 from fide_plugins.options import make_options, without_images
 from fide_plugins.space import Space
 from fide_plugins.types import Float64
-from fide_plugins.validation.points import new_seed, standard_deviation
+from fide_plugins.validation.points import new_seed, standard_deviations
 from fide_plugins.views import Views
 
 _NO_TARGET = np.zeros((16, 16, 3), np.float32)
@@ -34,7 +34,7 @@ class Settings:
         sigma0: float, device: str, options: Mapping[str, Any], seed: int | None,
     ) -> None:  # fmt: skip
         self._made = make_options(preset, options)
-        standard_deviation(sigma0)
+        standard_deviations(sigma0, 1)
         if target is None and loss is not None:
             raise OptionError("a loss of images needs a target: set target=")
         self._target, self._loss, self._options = target, loss, options
