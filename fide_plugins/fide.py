@@ -492,6 +492,8 @@ class FIDE(Saved):
         state = self.state
         members, losses = state.population.close_generation()
         samples, target = state.take_samples(), self.evaluator.tokens_at(state.scales.blur)
+        if state.moves.hypotheses is not None:
+            state.moves.hypotheses.floor = self._floor
         if state.moves.stage is not Stage.SEARCH:
             state.finish_stage(members, losses, samples, target)
             return
@@ -510,9 +512,17 @@ class FIDE(Saved):
         if state.begin_coarse(self.evaluator.target):
             return
         if over is None:
-            over = self.options.restarts != "none" and state.is_over(guided=guided)
+            over = self.options.restarts != "none" and state.is_over(
+                guided=guided, floor=self._floor
+            )
         if over:
             state.finish_search(guided=self.options.restarts == "moves" and guided)
+
+    @property
+    def _floor(self) -> float:
+        """Loss of a photograph that no candidate removes, by a model's hypotheses; else 0."""
+        comparison, hypotheses = self.evaluator.comparison, self.state.moves.hypotheses
+        return 0.0 if comparison is None or hypotheses is None else comparison.floor
 
     def _train(self, samples: list[TrainingSample], target: Tensor) -> None:
         """Line 8: the proposer learns from what was evaluated since the last time."""

@@ -37,11 +37,9 @@ from fide_plugins.cli.arguments import (
     add_run_arguments,
     add_space_argument,
     free_directory,
-    function_of,
     optimizer_options,
-    program_of,
+    own_renderer,
     setting,
-    space_of,
     whole,
 )
 from fide_plugins.cli.progress import lines, page_of
@@ -178,9 +176,6 @@ def _refuse(args: argparse.Namespace, names: tuple[str, ...], given: str) -> Non
             raise OptionError(f"{flag} has no meaning with {given}; {remedy}")
 
 
-# -- a renderer of one's own -----------------------------------------------------------------------
-
-
 def _execute(args: argparse.Namespace, command: list[str]) -> int:
     from fide_plugins.fitting.fitting import FitInterrupted
     from fide_plugins.recording.storage import is_saved
@@ -278,18 +273,19 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
 
 def _renderer(args: argparse.Namespace) -> tuple[Any, Any, Any]:
     """The renderer, its space, and the time-out of a worker."""
-    space = space_of(args.space)
-    if args.renderer is not None:
-        return *function_of(args.renderer, space), args.timeout
-    if len(args.templates) != len(args.targets):
+    if args.templates and len(args.templates) != len(args.targets):
         raise OptionError(
             f"{len(args.templates)} commands for {len(args.targets)} targets; give --command once "
             "for each target, in the same order"
         )
-    raw = args.value_range is not None
-    program, space, limit = program_of(args.templates, space, args.timeout, raw)
+    found = own_renderer(args, args.renderer, args.templates, args.value_range is not None)
+    if found is None:
+        raise OptionError(f"no renderer {args.renderer!r}; write FILE.py:NAME")
+    if args.templates is None:
+        return found
     # the program is stopped before its worker, so that its output is known
-    return program, space, None if args.timeout is None or args.workers == 0 else limit + 5
+    limit = None if args.timeout is None or args.workers == 0 else found[2] + 5
+    return *found[:2], limit
 
 
 def _keep_pictures(renders: Renders, result: Any, out: Path) -> None:

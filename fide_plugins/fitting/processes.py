@@ -192,8 +192,6 @@ class _Process(SpawnProcess):
                     signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-# -- in the worker ---------------------------------------------------------------------------------
-
 _PORTABLE: list[Portable] = []
 
 

@@ -93,8 +93,6 @@ class Registry(Generic[T]):
         return factory(*args, **options)
 
 
-# -- attributes of a user's file or module ---------------------------------------------------------
-
 _FINGERPRINTS: WeakKeyDictionary[ModuleType, str | None] = WeakKeyDictionary()
 
 
@@ -208,8 +206,6 @@ def shown_traceback(error: BaseException, caller: str = __file__) -> str:
     return "".join(shown).rstrip()
 
 
-# -- functions of images, tried before anything depends on them ------------------------------------
-
 _RELATIVE, _ABSOLUTE = 1e-3, 1e-5  # kernels of networks round differently for each batch size
 
 
@@ -251,9 +247,6 @@ def tried_on(
             "that depend on the batch off (model.eval())"
         )
     return together
-
-
-# -- fingerprints ----------------------------------------------------------------------------------
 
 
 def of_bytes(kind: str, data: bytes) -> str:

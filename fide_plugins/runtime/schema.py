@@ -102,9 +102,6 @@ class Stateful:
         return f"_{name}" if hasattr(self, f"_{name}") else name
 
 
-# -- rules -----------------------------------------------------------------------------------------
-
-
 def _demand(sound: bool, place: str, otherwise: str) -> None:
     if not sound:
         raise ValueError(f"{place} {otherwise}")

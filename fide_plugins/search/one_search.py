@@ -92,22 +92,23 @@ class Termination(Stateful):
         strict = round(_STRICT_PATIENCE * self.patience)
         del self.history[: -1 - max(strict, self.loss_only_patience, _BENEFIT_OF_DOUBT)]
 
-    def is_over(self, std: Float64, *, guided: bool = True) -> bool:
+    def is_over(self, std: Float64, *, guided: bool = True, floor: float = 0.0) -> bool:
         """Whether to begin another search; guided: whether images guide it.
 
-        std: (d,), of the search distribution.
+        std: (d,), of the search distribution.  floor: loss that no candidate removes.
         """
         if not guided:
             converged = bool((std < _CONVERGED * self.sigma0).all())
             return converged or has_stalled(self.history, self.loss_only_patience, 0.0)
         narrowest = _TO_THE_END if self.to_the_end else _COLLAPSED
+        above = [loss - floor for loss in self.history]
         strict = bool(self.history and self.history[-1] > self.strict_above)
         progress = self.patience, self.improvement
         if strict:
             progress = round(_STRICT_PATIENCE * self.patience), _STRICT_IMPROVEMENT
         return (
             bool((std < narrowest * self.sigma0).all())
-            or has_stalled(self.history, *progress)
+            or has_stalled(above, *progress)
             or is_hopeless(self.history, self.goal)
         )
 

@@ -71,27 +71,3 @@ def test_wrong_usage(words: list[str], message: str, capsys: pytest.CaptureFixtu
     assert captured.out == "" and captured.err.count("\n") == 1
     assert re.search(message, captured.err), captured.err
     assert not Path("out").exists()
-
-
-def test_a_failure_is_exit_code_1_and_in_the_report(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from fide_lab.baselines.evolution import Random
-
-    def breaks(self: Random, *args: object) -> None:
-        raise ArithmeticError("out of luck")
-
-    monkeypatch.setattr(Random, "_update", breaks)
-    assert fide("compare", "voronoi", *SMALL, "--out", "out") == 1
-    err = capsys.readouterr().err
-    assert "voronoi mse random seed 1: failed (ArithmeticError: out of luck)" in err
-    assert "2 of 4 runs failed; error.txt in their directories has the tracebacks" in err
-    assert "ArithmeticError: out of luck" in Path("out/report.html").read_text()
-    for path in Path("out").glob("cells/voronoi/mse/random/*/error.txt"):
-        assert "ArithmeticError: out of luck" in path.read_text()
-
-    only = ["compare", "voronoi", *SMALL, "--optimizers", "random", "--out", "none"]
-    assert fide(*only) == fide("report", "none") == 1
-    err = capsys.readouterr().err
-    assert err.count("no run in none is finished, and 2 of 2 failed; error.txt in their direc") == 2
-    assert not Path("none/report.html").exists()

@@ -7,26 +7,11 @@ import re
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from fide_lab.run.task import make_renderer_task as make
 from fide_plugins import FIDE, Choice, Float, Int, Space
 
 from .conftest import fide, one_line
-
-
-@pytest.mark.usefixtures("scene")
-def test_a_target_of_random_parameters_with_the_size_of_the_renderer() -> None:
-    first, again, other = (make("scene.py:render", seed, {}) for seed in (3, 3, 4))
-    assert first.x_star is not None and other.x_star is not None
-    assert first.target.shape == (12, 16, 3)
-    np.testing.assert_array_equal(first.target, again.target)
-    assert not np.array_equal(first.x_star, other.x_star)
-    (image,) = first.render(first.x_star[None])
-    np.testing.assert_allclose(np.repeat(image[..., None], 3, 2), first.target, atol=1e-7)
-    assert first.search_space is not None
-    np.testing.assert_array_equal(first.search_space.snap(first.x_star), first.x_star)
 
 
 @pytest.mark.usefixtures("scene")

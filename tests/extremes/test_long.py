@@ -9,15 +9,9 @@ import numpy as np
 import pytest
 
 from fide_plugins.fide import FIDE
-from fide_plugins.types import Float64
 
 SLOW = pytest.mark.slow
 TELLS = [5_000, pytest.param(1_000_000, marks=[SLOW, pytest.mark.timeout(3000)])]
-
-
-def sphere(z: Float64) -> Float64:
-    losses: Float64 = np.square(z - 0.3).sum(axis=1)
-    return losses
 
 
 def resident() -> int:

@@ -10,8 +10,8 @@ import pytest
 
 from fide_plugins import FIDE, Fidelity, fit
 from fide_plugins.fitting.fidelity import schedule_for
-from fide_plugins.fitting.planning import Planner
 from fide_plugins.fitting.rendering import Outcome, Rendered
+from fide_plugins.fitting.schedule import Planner
 from fide_plugins.fitting.workers import InThisProcess
 from fide_plugins.types import Float64
 

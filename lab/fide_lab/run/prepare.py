@@ -18,9 +18,14 @@ from fide_lab.suite import read as read_suite
 from fide_plugins import losses as losses_module
 from fide_plugins.errors import CheckpointError, FideError, OptionError, RenderError
 from fide_plugins.learning.hypotheses import with_model
-from fide_plugins.recording.directory import RunDirectory
+from fide_plugins.recording.directory import (
+    RunDirectory,
+    of_files,
+    of_losses,
+    of_models,
+    of_weights,
+)
 from fide_plugins.recording.record import Progress, Record, RunResult
-from fide_plugins.recording.sources import of_files, of_losses, of_models, of_weights
 from fide_plugins.recording.storage import TARGET_FILE, is_saved
 from fide_plugins.runtime.registry import fingerprint_of, own_name
 from fide_plugins.types import Float32, Optimizer

@@ -81,6 +81,19 @@ def test_a_search_that_is_forgotten_is_cancelled_and_cleans_up() -> None:
     assert threading.active_count() == before and left == ["left"]
 
 
+def test_after_ctrl_c_it_waits_for_the_same_point() -> None:
+    class Interrupted:
+        def get(self) -> Any:
+            caller._points = points
+            raise KeyboardInterrupt
+
+    caller: Any = ReverseCommunication(count)
+    points, caller._points = caller._points, Interrupted()
+    with pytest.raises(KeyboardInterrupt):
+        caller.point()
+    assert caller.point() == 0.0
+
+
 def test_python_exits_while_a_search_waits() -> None:
     program = (
         "from fide_lab.baselines.libraries import ReverseCommunication\n"
