@@ -1,7 +1,11 @@
 """Pictures that the renderer did not quite draw: poses found with `photo=True`, and without.
 
     python benchmarks/gap.py --targets 720-729 --out runs/gap.jsonl
+    python benchmarks/gap.py --targets 720-739 --arms learned --model robot.fide
     python benchmarks/gap.py --table benchmarks/results/gap.jsonl
+
+The model: `learn(task, renders=150_000, size=64, passes=8, clutter=True, out="robot.fide")` with
+`task = fide_tasks.make("robot", size=64)`.  With it there are 500 renders, of robot alone.
 
 The clean target of robot and arm gets another exposure, a shading, an occluder, or the blur, noise
 and JPEG of a camera.  A pose is found if the clean render of the answer differs from the clean
@@ -14,6 +18,7 @@ import argparse
 import os
 from collections import Counter
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,9 +34,13 @@ from fide_plugins import FIDE
 
 SCENES = "robot", "arm"
 GAPS = "clean", *CHANGES
-BUDGET, SIZE = 1500, 64
+BUDGETS, SIZE = {"photo": 1500, "default": 1500, "learned": 500}, 64
 FOUND = 0.01
-ARMS: dict[str, dict[str, Any]] = {"photo": {"photo": True}, "default": {}}
+ARMS: dict[str, dict[str, Any]] = {
+    "photo": {"photo": True},
+    "default": {},
+    "learned": {"photo": True},
+}
 
 
 def planned_runs(arguments: argparse.Namespace) -> Iterator[Row]:
@@ -40,16 +49,18 @@ def planned_runs(arguments: argparse.Namespace) -> Iterator[Row]:
         for scene in SCENES:
             for gap in GAPS:
                 for arm in arguments.arms:
-                    yield {"scene": scene, "gap": gap, "target": target, "arm": arm}
+                    if arm != "learned" or scene == "robot":
+                        yield {"scene": scene, "gap": gap, "target": target, "arm": arm}
 
 
-def run(planned: Row) -> Row:
-    """One run: its error, and what is said of it."""
+def run(planned: Row, model: str | None = None) -> Row:
+    """One run: its error, and what is said of it.  model: file of the arm `learned`."""
     seed = planned["target"]
     task: Any = fide_tasks.make(planned["scene"], size=SIZE, seed=seed)
     picture = changed(task.target, planned["gap"], np.random.default_rng(7 * seed + 1))
-    search = FIDE(task.dim, picture, seed=seed, **ARMS[planned["arm"]])
-    while search.evaluations < BUDGET:
+    options, learned = ARMS[planned["arm"]], planned["arm"] == "learned"
+    search = FIDE(task.dim, picture, seed=seed, learned=model if learned else None, **options)
+    while search.evaluations < BUDGETS[planned["arm"]]:
         x = search.ask_ready()
         search.tell(x, task.render(x))
     best = search.best
@@ -78,7 +89,8 @@ def main() -> None:
     """Run what is missing, or print the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--targets", type=span, default=range(720, 730), metavar="A-B")
-    parser.add_argument("--arms", nargs="+", choices=ARMS, default=list(ARMS))
+    parser.add_argument("--arms", nargs="+", choices=ARMS, default=["photo", "default"])
+    parser.add_argument("--model")
     parser.add_argument("--out", type=Path, default=Path("runs/gap.jsonl"))
     parser.add_argument("--table", type=Path)
     arguments = parser.parse_args()
@@ -87,7 +99,7 @@ def main() -> None:
         return
     run_missing(
         planned_runs(arguments),
-        run,
+        partial(run, model=arguments.model),
         arguments.out,
         lambda row: (row["scene"], row["gap"], row["target"], row["arm"]),
     )

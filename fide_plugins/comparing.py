@@ -17,8 +17,6 @@ from fide_plugins.types import Float64
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
 
-__all__ = ["adapt_light", "compare_again", "compare_finer", "compare_first_at"]
-
 _NARROWEST = 1 / 3  # of the first standard deviation, with which a search begins again
 
 
@@ -41,14 +39,15 @@ def adapt_light(optimizer: FIDE) -> None:
         return  # blurs are chosen by the first renders, in their own light
     kept.considered = generations
     assert evaluator.comparison is not None and kept.images is not None
-    comparison, before = evaluator.comparison, evaluator.comparison.state_dict()
+    comparison, before = evaluator.comparison, evaluator.comparison.options
     if kept.other_colors is None:
         kept.other_colors = comparison.has_other_colors(kept.images)
         if evaluator.adapts_blur:
             comparison.camera = comparison.camera_blur(kept.images)
     if kept.other_colors and evaluator.adapts_light:
         comparison.light = comparison.light_that_explains(kept.images)
-    if comparison.state_dict() != before:
+    if comparison.options != before:
+        comparison.begin_again(kept.images)
         compare_again(optimizer)
 
 

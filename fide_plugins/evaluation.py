@@ -378,11 +378,10 @@ def loss_of(
 ) -> ImageLoss:
     """Loss from a name, None for "mse", a callable, or a loss of one view that was made.
 
-    A callable gets a list of batches (n, H, W, 3) if the target is a list, one batch otherwise.  A
-    user's own is tried on the target first (`losses.base`).
-    Raises as `losses.resolve`; LossError for a made loss where there are several views.
+    A user's own is tried on the target first.  Raises as `losses.resolve`, and LossError for a made
+    loss where there are several views.
     """
-    if isinstance(loss, LossOfViews | CallableOfViews):
+    if isinstance(loss, LossOfViews):
         return loss
     if views.plain:
         made = named_losses.resolve(loss, views.target, device=device)
@@ -453,7 +452,7 @@ class LossOfViews:
         return values
 
 
-class CallableOfViews:
+class CallableOfViews(LossOfViews):
     """A user's function of what is seen of the views, with checks of its values."""
 
     version = None
@@ -461,10 +460,6 @@ class CallableOfViews:
 
     def __init__(self, views: Views, function: Callable[..., object]) -> None:
         self.views, self.name, self._function = views, name_of(function), function
-
-    def __call__(self, images: object) -> Float64:
-        """Losses (n,) of images, as `FIDE.tell` takes them."""
-        return self.compute(self.views.as_batch(images, None, warn_clipped))
 
     @user_threads
     def compute(self, batch: Float32) -> Float64:

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from torch import Tensor
 
-from fide_plugins import encoders
 from fide_plugins.comparison.kept import Kept
 from fide_plugins.comparison.scale_space import ScaleSpace
 from fide_plugins.encoders.base import PatchEncoder
@@ -30,6 +29,7 @@ from fide_plugins.population import (
 from fide_plugins.proposers import make_proposer, make_steps
 from fide_plugins.proposers.image_gate import ImageGate
 from fide_plugins.runtime.messages import warn_user
+from fide_plugins.runtime.registry import own_name
 from fide_plugins.runtime.schema import array, check, each, maybe, whole
 from fide_plugins.runtime.threads import Lock, one_at_a_time, one_thread, timed
 from fide_plugins.saving import Saved
@@ -150,8 +150,8 @@ class FIDE(Saved):
     ) -> None:
         self.space = dim if isinstance(dim, Space) else None
         self.dim = number_of_parameters("dim", dim.dim if isinstance(dim, Space) else dim)
-        named = {"encoder": encoders.name_of(encoder), "popsize": popsize}
-        self.options = o = make_options(preset, {**named, **options})
+        name = encoder if isinstance(encoder, str | None) else own_name(encoder)
+        self.options = o = make_options(preset, {"encoder": name, "popsize": popsize, **options})
         self.x0 = starting_point(x0, self.dim, self.space)
         self.guess = None if x0 is None else self.x0
         self.sigma0, self.seed = standard_deviations(sigma0, self.dim), new_seed(seed)
@@ -381,7 +381,7 @@ class FIDE(Saved):
                 return none
             _, z = search.sample(min(n, left), state.rng)
             v = search.stretched(z)
-            x = steps.forward.propose(v, target, search.mean, search.std, state.rng)
+            x = steps.propose(v, target, search.mean, search.std, state.rng)
         return steps.new_ones(search.place_proposals(x, z), state.population.is_pending)
 
     def _hand_out_steps(self, x: Float64) -> None:
@@ -492,6 +492,8 @@ class FIDE(Saved):
         state = self.state
         members, losses = state.population.close_generation()
         samples, target = state.take_samples(), self.evaluator.tokens_at(state.scales.blur)
+        if state.moves.hypotheses is not None:
+            state.moves.hypotheses.floor = self._floor
         if state.moves.stage is not Stage.SEARCH:
             state.finish_stage(members, losses, samples, target)
             return
@@ -510,9 +512,17 @@ class FIDE(Saved):
         if state.begin_coarse(self.evaluator.target):
             return
         if over is None:
-            over = self.options.restarts != "none" and state.is_over(guided=guided)
+            over = self.options.restarts != "none" and state.is_over(
+                guided=guided, floor=self._floor
+            )
         if over:
             state.finish_search(guided=self.options.restarts == "moves" and guided)
+
+    @property
+    def _floor(self) -> float:
+        """Loss of a photograph that no candidate removes, by a model's hypotheses; else 0."""
+        comparison, hypotheses = self.evaluator.comparison, self.state.moves.hypotheses
+        return 0.0 if comparison is None or hypotheses is None else comparison.floor
 
     def _train(self, samples: list[TrainingSample], target: Tensor) -> None:
         """Line 8: the proposer learns from what was evaluated since the last time."""
@@ -628,7 +638,7 @@ class FIDE(Saved):
         best, known = self.best, self.state.moves.known
         found = [] if best is None else [best]
         for sample in (optimum.sample for optimum in known.optima.all):
-            distances = [known.exchangeability.distance(sample.x, one.x) for one in found]
+            distances = [known.exchangeability.distance(sample.x, one.x, APART) for one in found]
             if min(distances, default=np.inf) >= APART:
                 one = Solution(sample.x.copy(), sample.loss, sample.evaluation)
                 estimate = self.state.estimate_of(sample.x)

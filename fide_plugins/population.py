@@ -1,7 +1,6 @@
 """The record of candidates: which were drawn, which are pending, which were evaluated.
 
-FIDE and all baselines keep one.  A candidate is drawn, handed out and told; users tell in whatever
-order and pieces, and the result does not depend on that.
+FIDE and all baselines keep one.  In which order and pieces users tell changes nothing.
 """
 
 from __future__ import annotations
@@ -32,19 +31,6 @@ from fide_plugins.runtime.schema import (
     whole,
 )
 from fide_plugins.types import Float64, Mask, Solution
-
-__all__ = [
-    "Best",
-    "Candidate",
-    "CandidateRole",
-    "Memory",
-    "Population",
-    "TrainingSample",
-    "columns",
-    "in_order",
-    "mirrored_pair",
-    "search_columns",
-]
 
 
 class CandidateRole(IntEnum):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from fide_plugins.comparison.scale_space import NEXT, REACH, ScaleSpace
+from fide_plugins.comparison.scale_space import BLURS, NEXT, REACH, ScaleSpace
 from fide_plugins.population import (
     Best,
     Candidate,
@@ -220,14 +220,17 @@ class State:
         if self.steps is not None:
             self.steps.due = True
 
-    def is_over(self, *, guided: bool) -> bool:
+    def is_over(self, *, guided: bool, floor: float = 0.0) -> bool:
         """Whether the present search is over; guided: whether images guide it.
+
+        floor: loss that no candidate removes.
 
         A coarse one is, too, where it is as narrow as its blur.
         """
         search, scales = self.search, self.scales
         guided = guided or scales.asked or scales.blur > 0
-        if search.termination.is_over(search.distribution.std, guided=guided):
+        std, floor = search.distribution.std, 0.0 if scales.blur else floor
+        if search.termination.is_over(std, guided=guided, floor=floor):
             return True
         return bool(scales.blur and (search.std < REACH * scales.left[0]).all())
 
@@ -264,7 +267,7 @@ class State:
         self.moves.learn(own, members[int(np.argmin(losses))].x, target)
         if descending:
             self.injected = None  # its loss is of this blur
-            self.scales.begin_at(0.0)
+            self.scales.begin_at(BLURS[-1] if self.moves.begins_soft else 0.0)
         self._go_on()
 
     def _go_on(self) -> None:

@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
 
-__all__ = ["Facts", "Status", "status_now", "status_of"]
-
 _STALLED = 20  # generations without improvement; or a quarter of all evaluations, if that is more
 _NEARLY_ALL = 0.9  # of the images
 _NEXT = "fit again with another seed and compare the losses, or give more renders"

@@ -12,8 +12,6 @@ from fide_plugins.validation.images import is_path, is_pil, is_torch_tensor
 from fide_plugins.validation.values import Clipping
 from fide_plugins.views import Views
 
-__all__ = ["ImageLoss", "ImageReader", "Result", "is_image", "read_result"]
-
 
 class ImageLoss(float):
     """A loss that carries the image that it was computed from.

@@ -1,15 +1,7 @@
-"""The command ``fide``.
+"""The command ``fide``: one module ``NAME_command`` for each command.
 
 Exit codes: 0 done; 1 a run failed, or its output could not be written; 2 wrong usage, with one line
 on standard error; 130 and 143 stopped by Ctrl-C and SIGTERM, with everything saved.
-
-==============  =====================================================================
-`NAME_command`  one module for each command: its arguments and its execution
-`arguments`     arguments that commands share; a renderer of one's own
-`fit_inputs`    what `fide fit` reads and renders before the search
-`terminal`      text for a terminal
-`progress`      progress of a run: lines, a page in the browser
-==============  =====================================================================
 """
 
 from __future__ import annotations

@@ -7,14 +7,10 @@ import re
 from collections.abc import Sequence
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from fide_plugins.errors import OptionError
 from fide_plugins.validation.options import parse_key_value
-
-if TYPE_CHECKING:
-    from fide_plugins.renderers import CommandRenderer, FunctionRenderer
-    from fide_plugins.space import Space
 
 
 def whole(minimum: int) -> Any:
@@ -120,45 +116,36 @@ def free_directory(args: argparse.Namespace, what: str) -> Path:
     return last if args.resume else free
 
 
-# -- a renderer of one's own -----------------------------------------------------------------------
+def own_renderer(
+    args: argparse.Namespace, reference: str | None, templates: Sequence[str] | None, raw: bool
+) -> tuple[Any, Any, Any] | None:
+    """A user's own renderer, its space, and its time limit; None for a built-in task.
 
-
-def space_of(file: str | None) -> Space | None:
-    """Space in the file that --space names; None without it."""
-    from fide_plugins.space import Space
-
-    try:
-        return None if file is None else Space.read(file)
-    except (FileNotFoundError, IsADirectoryError) as error:
-        what = f"{file!r} is a folder" if Path(str(file)).is_dir() else f"there is no file {file!r}"
-        raise OptionError(
-            f"--space: {what}; name the TOML file with a table for each parameter "
-            "(docs/reference/space.md)"
-        ) from error
-
-
-def function_of(reference: str, space: Space | None) -> tuple[FunctionRenderer, Space | int]:
-    """Function ``FILE.py:NAME``, and its parameters: `space`, or else what is beside it."""
-    from fide_plugins.renderers import FunctionRenderer
-
-    function = FunctionRenderer(reference)
-    return function, function.space_or(space)
-
-
-def program_of(
-    templates: str | Sequence[str], space: Space | None, timeout: str | None, raw: bool = False
-) -> tuple[CommandRenderer, Space, float]:
-    """Program of a command, or of one for each view, its parameters, and seconds until it is ended.
-
-    timeout: as --timeout has it.  raw: whether it has a range of values.
+    reference: ``FILE.py:NAME``, or the name of a task.  templates: a command for each view, whose
+    limit is in seconds, with a default.  raw: whether it has a range of values.
     """
-    from fide_plugins.renderers import CommandRenderer
+    from fide_plugins.renderers import CommandRenderer, FunctionRenderer
     from fide_plugins.renderers.command import TIMEOUT
+    from fide_plugins.runtime.registry import is_reference
+    from fide_plugins.space import Space
     from fide_plugins.validation.options import seconds_of
 
-    limit = TIMEOUT if timeout is None else seconds_of("timeout", timeout)
-    if space is None:
-        raise OptionError("--command needs --space FILE.toml, the parameters and their ranges")
-    if len(templates) == 1:
-        templates = templates[0]
-    return CommandRenderer(templates, space, limit, raw), space, limit
+    try:
+        space = None if args.space is None else Space.read(args.space)
+    except (FileNotFoundError, IsADirectoryError) as error:
+        raise OptionError(
+            f"--space: there is no file {args.space!r}; name the TOML file with a table for each "
+            "parameter (docs/reference/space.md)"
+        ) from error
+    if templates:
+        if space is None:
+            raise OptionError("--command needs --space FILE.toml, the parameters and their ranges")
+        limit = TIMEOUT if args.timeout is None else seconds_of("timeout", args.timeout)
+        several = templates if len(templates) > 1 else templates[0]
+        return CommandRenderer(several, space, limit, raw), space, limit
+    if is_reference(str(reference)):
+        function = FunctionRenderer(str(reference))
+        return function, function.space_or(space), args.timeout
+    if space is not None:
+        raise OptionError(f"--space is for your own renderer; {reference} has its own space")
+    return None

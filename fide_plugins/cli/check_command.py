@@ -22,7 +22,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from fide_plugins.cli.arguments import add_space_argument, path, whole
+from fide_plugins.cli.arguments import add_space_argument, own_renderer, path, whole
 from fide_plugins.cli.terminal import (
     USAGE_ERRORS,
     note,
@@ -32,7 +32,6 @@ from fide_plugins.cli.terminal import (
     warnings_as_notes,
     write_figure,
 )
-from fide_plugins.errors import OptionError
 
 _SIDE = 112  # pixels of a built-in task
 
@@ -81,18 +80,10 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
 
 def _renderer(args: argparse.Namespace) -> tuple[str, Callable[[Any], object], Any, Any]:
     """Name, function, space and time limit of a render."""
-    from fide_plugins.cli.arguments import function_of, program_of, space_of
-    from fide_plugins.runtime.registry import is_reference
-
-    space = space_of(args.space)
-    if args.templates is not None:
-        program, space, limit = program_of(args.templates, space, args.timeout)
-        return program.name, program, space, limit + 5  # its output is known then
-    if is_reference(args.renderer):
-        function, found = function_of(args.renderer, space)
-        return function.name, function, found, args.timeout
-    if space is not None:
-        raise OptionError("--space is for a renderer of your own; a built-in task has its own")
+    found = own_renderer(args, args.renderer, args.templates, raw=False)
+    if found is not None:
+        own, space, limit = found
+        return own.name, own, space, limit + 5 if args.templates else limit  # its output is known
     import fide_tasks
 
     with notices("fide_tasks"):

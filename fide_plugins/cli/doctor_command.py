@@ -64,8 +64,6 @@ def _text(facts: dict[str, Any]) -> str:
     return "\n".join(lines[1:])
 
 
-# -- which tasks, optimizers, encoders and losses can be used here: each is tried once -------------
-
 KINDS = ("tasks", "optimizers", "encoders", "losses")
 WITH_WEIGHTS = ("encoders", "losses")  # kinds that may need weights; to try them takes seconds
 _SIDE = 32  # pixels, side of the test images

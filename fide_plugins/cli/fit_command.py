@@ -37,11 +37,9 @@ from fide_plugins.cli.arguments import (
     add_run_arguments,
     add_space_argument,
     free_directory,
-    function_of,
     optimizer_options,
-    program_of,
+    own_renderer,
     setting,
-    space_of,
     whole,
 )
 from fide_plugins.cli.progress import lines, page_of
@@ -59,7 +57,6 @@ from fide_plugins.cli.terminal import (
 )
 from fide_plugins.errors import DependencyError, FideError, ImageError, OptionError, RenderError
 from fide_plugins.runtime import laboratory
-from fide_plugins.runtime.messages import duration
 from fide_plugins.validation.options import positive_fraction
 
 if TYPE_CHECKING:
@@ -179,9 +176,6 @@ def _refuse(args: argparse.Namespace, names: tuple[str, ...], given: str) -> Non
             raise OptionError(f"{flag} has no meaning with {given}; {remedy}")
 
 
-# -- a renderer of one's own -----------------------------------------------------------------------
-
-
 def _execute(args: argparse.Namespace, command: list[str]) -> int:
     from fide_plugins.fitting.fitting import FitInterrupted
     from fide_plugins.recording.storage import is_saved
@@ -279,18 +273,19 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
 
 def _renderer(args: argparse.Namespace) -> tuple[Any, Any, Any]:
     """The renderer, its space, and the time-out of a worker."""
-    space = space_of(args.space)
-    if args.renderer is not None:
-        return *function_of(args.renderer, space), args.timeout
-    if len(args.templates) != len(args.targets):
+    if args.templates and len(args.templates) != len(args.targets):
         raise OptionError(
             f"{len(args.templates)} commands for {len(args.targets)} targets; give --command once "
             "for each target, in the same order"
         )
-    raw = args.value_range is not None
-    program, space, limit = program_of(args.templates, space, args.timeout, raw)
+    found = own_renderer(args, args.renderer, args.templates, args.value_range is not None)
+    if found is None:
+        raise OptionError(f"no renderer {args.renderer!r}; write FILE.py:NAME")
+    if args.templates is None:
+        return found
     # the program is stopped before its worker, so that its output is known
-    return program, space, None if args.timeout is None or args.workers == 0 else limit + 5
+    limit = None if args.timeout is None or args.workers == 0 else found[2] + 5
+    return *found[:2], limit
 
 
 def _keep_pictures(renders: Renders, result: Any, out: Path) -> None:
@@ -346,15 +341,7 @@ def _parameters(best: Solution) -> str:
 
 def _report(result: Result, out: Path) -> None:
     """Print the end of a fit: the status has the loss."""
-    failed = f", {result.failures} renders failed" if result.failures else ""
-    failed += f", {result.clipped} images clipped" if result.clipped else ""
-    if result.rejected:
-        failed += f", {result.rejected:.0%} of the candidates rejected by constraints"
-    stopped = f"stopped: {result.stopped.replace('_', '-')}"
-    coarse = (
-        "" if result.cost == result.evaluations else f" (as dear as {result.cost:.0f} full ones)"
-    )
-    print(f"{result.evaluations} renders{coarse} in {duration(result.seconds)}, {stopped}{failed}")
+    print(result.facts)
     if result.best is None:
         print("there is no image with a finite loss; fide check looks at the renderer")
         return

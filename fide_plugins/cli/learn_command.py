@@ -19,15 +19,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from fide_plugins.cli.arguments import (
-    add_space_argument,
-    function_of,
-    path,
-    program_of,
-    setting,
-    space_of,
-    whole,
-)
+from fide_plugins.cli.arguments import add_space_argument, own_renderer, path, setting, whole
 from fide_plugins.cli.progress import interval
 from fide_plugins.cli.terminal import (
     USAGE_ERRORS,
@@ -146,17 +138,14 @@ def _renderer(args: argparse.Namespace) -> tuple[Any, Any]:
 
     if (args.source is None) == (args.template is None):
         raise OptionError("name either a SOURCE or a --command; see fide learn --help")
-    if args.render_size is not None and (args.source is None or is_reference(args.source)):
-        raise OptionError("--render-size is of built-in tasks; leave it out")
-    space = space_of(args.space)
-    if args.template is not None:
-        return program_of([args.template], space, args.timeout)[:2]
-    if args.timeout is not None:
+    if args.timeout is not None and args.template is None:
         raise OptionError("--timeout is of --command; leave it out")
-    if is_reference(args.source):
-        return function_of(args.source, space)
-    if space is not None:
-        raise OptionError(f"--space is for your own renderer; {args.source} has its own space")
+    if args.render_size is not None and is_reference(args.source or ":"):
+        raise OptionError("--render-size is of built-in tasks; leave it out")
+    templates = None if args.template is None else [args.template]
+    found = own_renderer(args, args.source, templates, raw=False)
+    if found is not None:
+        return found[:2]
     import fide_tasks
 
     size = args.render_size or args.size

@@ -3,9 +3,9 @@
     FIDE(space, photo, photometric="auto", robust="auto", background="free")
 
 A photograph differs from a renderer's picture by more than its parameters.  Loss, features and all
-that learns from them see *adjusted* images, in which this is set aside: by the light (`light`), by
-what the renderer does not know (robust differences) and by what it does not draw (`coverage`), at
-a blur that may shrink as the search goes on.  Renders stay as they are: `FIDE.best.image` is one.
+that learns from them see *adjusted* images, in which this is set aside: the light, what the
+renderer does not know (robust differences) and what it does not draw, at a blur that may shrink as
+the search goes on.  Renders stay as they are: `FIDE.best.image` is one.
 
 Let t be the target, x a render, a its coverage, B a Gaussian blur.  Then
 
@@ -16,16 +16,6 @@ Let t be the target, x a render, a its coverage, B a Gaussian blur.  Then
 is compared with B t.  So the loss `mse` of x' is the mean of (B a) c^2 |d|^2 / (c^2 + |d|^2), that
 of Geman and McClure.  What is not covered costs (1 - B a) b, with b 0.6 of what the target
 itself would cost with its pixels in another order: the background is of the target's colors.
-
-=============  ==================================================================
-`comparison`   all of this for the views of a scene
-`light`        the light that brings a render nearest to the target
-`auto`         whether light or a camera's blur tells the target from the renders
-`coverage`     renders that say which pixels they draw
-`kept`         the best renders, which are compared again when the comparison changes
-`mismatch`     what explains a difference that no parameter removes
-`scale_space`  searches that begin blurred
-=============  ==================================================================
 """
 
 from __future__ import annotations

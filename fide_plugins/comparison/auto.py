@@ -1,15 +1,9 @@
 """Whether a light or a camera's blur tells the target from the renders.
 
-A free light brings any two pictures nearer to each other, so what it does for the best renders and
-the target is compared with what it does for pairs of these renders, which have the same light: only
-where it explains more than half of what is left beyond that, it is set aside.  It is no longer
-where the renders are as near without it.
-
-It never is where renders have the target's colors: parameters change them then, or nothing does,
-and what a light removed would be a difference of place.
-
-A blur is known from the edges, wherever they are: how much steeper the steepest are in the picture
-than in the same picture behind a filter.
+A free light brings any two pictures nearer to each other.  So it is set aside only where it
+explains more than half of what is left beyond what it explains between the best renders, which
+have the same light; never where renders have the target's colors: then parameters change them, or
+nothing does.
 """
 
 from __future__ import annotations
@@ -22,8 +16,6 @@ import numpy as np
 from fide_plugins.comparison.light import EXPOSURE, NONE, SHADING, robust_factor, robust_light
 from fide_plugins.comparison.scale_space import blurred
 from fide_plugins.types import Float32, Float64
-
-__all__ = ["MOST", "camera_blur", "changed_light", "has_other_colors", "light_between"]
 
 MOST = 4  # renders that are looked at
 _KINDS = (NONE, EXPOSURE, SHADING)

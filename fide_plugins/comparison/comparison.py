@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -21,17 +21,16 @@ from fide_plugins.comparison.light import (
     NONE,
     SHADING,
     Light,
+    common_light,
     robust_factor,
     robust_light,
 )
 from fide_plugins.comparison.scale_space import blurred
 from fide_plugins.losses.base import ImageLoss
 from fide_plugins.runtime.opencv import cv2
-from fide_plugins.runtime.schema import check, real, text
+from fide_plugins.runtime.schema import Schema, array, check, each, maybe, real, text
 from fide_plugins.types import Float32, Float64
 from fide_plugins.views.views import View, Views
-
-__all__ = ["Compared", "Comparison"]
 
 _SMALL = 28  # pixels of a side at which the light is found
 _BACKGROUND = 0.6  # of the loss of the target with its pixels in another order
@@ -67,6 +66,9 @@ class Comparison:
     blur: standard deviation in pixels at which `compare` compares if it is not told otherwise.
     camera: standard deviation in pixels by which the target is softer than renders, which are
         blurred as much.
+    common: the light of each view that all renders have, see `light`; None: each has its own.
+    least: of each view the differences (H, W, 3) from the target that are the least in each pixel,
+        of all renders; None before the first.
     """
 
     def __init__(
@@ -80,12 +82,14 @@ class Comparison:
         background: bool = False,
         blur: float = 0.0,
         camera: float = 0.0,
+        common: list[Light] | None = None,
+        least: list[Float32] | None = None,
     ) -> None:
         if not getattr(loss, "of_places", True):  # differences of pixels say nothing
             light, scale = NONE, None
         self.views, self._loss, self._loss_at = views, loss, loss_at
         self.light, self.scale, self.background, self.blur = light, scale, background, blur
-        self.camera = camera
+        self.camera, self.common, self.least = camera, common, least
         self._levels: dict[float, _Level] = {}
 
     @property
@@ -96,7 +100,11 @@ class Comparison:
 
     def state_dict(self) -> dict[str, Any]:
         """What changes."""
-        return {"light": self.light, "blur": self.blur, "camera": self.camera}
+        common = None if self.common is None else [vars(one) for one in self.common]
+        return {
+            "light": self.light, "blur": self.blur, "camera": self.camera, "common": common,
+            "least": self.least,
+        }  # fmt: skip
 
     def at(self, blur: float | None = None) -> _Level:
         """The target at a blur, None: at the present one, with its loss."""
@@ -124,6 +132,8 @@ class Comparison:
                 light.append(found)
                 hidden[i] += free / len(parts)
             made[i] = self.views.pack(adjusted)
+            if blur is None:
+                self._note(adjusted)
             if light[0] is not None:
                 lights.append(light)  # type: ignore[arg-type]
         losses = level.loss.compute(made)
@@ -131,18 +141,52 @@ class Comparison:
             losses = losses + hidden * level.free
         return Compared(made, losses, lights or None)
 
+    def _note(self, adjusted: list[Float32]) -> None:
+        """Note of each pixel the least difference of any render."""
+        shown = [one.shown for one in self.at().each]
+        apart = [one - target for one, target in zip(adjusted, shown, strict=True)]
+        before = apart if self.least is None else self.least
+        pairs = zip(apart, before, strict=True)
+        self.least = [np.where(_squares(a) < _squares(b), a, b) for a, b in pairs]
+
+    @property
+    def floor(self) -> float:
+        """Loss of the picture in which each pixel is that of the render nearest there."""
+        if self.least is None:
+            return 0.0
+        level = self.at()
+        seen = [one.shown + apart for one, apart in zip(level.each, self.least, strict=True)]
+        return float(level.loss.compute(self.views.pack(seen)[None])[0])
+
+    def begin_again(self, images: Float32) -> None:
+        """Compare in another light from now on; images: the best renders (n, H, W, C)."""
+        self.common, self.least = None, None
+        if self.light == NONE or images.shape[3] == 4:
+            return
+        found = []
+        for one, part in zip(self.at().each, self.views.split(images), strict=True):
+            small = np.stack([_small(render) for render in part])
+            found.append(common_light(small, one.small, one.small_weights, self.light))
+        known = [light for light in found if light is not None]
+        self.common = known if len(known) == len(found) else None
+
     def residual(self, image: Float32) -> list[Float32]:
         """Absolute difference (H, W) of each view, mean of the channels; image: (H, W, C)."""
+        return [one.residual(x, cover) for _, one, x, cover in self._parts(image)]
+
+    def _parts(
+        self, image: Float32, blur: float | None = None
+    ) -> Iterator[tuple[View, _OneView, Float32, Float32 | None]]:
+        """Of each view: its target, and colors and coverage of an image (H, W, C)."""
         parts = self.views.split(image[None])
-        each = zip(self.at().each, parts, strict=True)
-        return [one.residual(*_taken(part[0])) for one, part in each]
+        for view, one, part in zip(self.views.views, self.at(blur).each, parts, strict=True):
+            yield view, one, *_taken(part[0])
 
     def shown(self, image: Float32) -> Float32:
         """A render (H, W, C) in the light of the target, and over it where it covers nothing."""
-        parts, seen = self.views.split(image[None]), []
-        for view, one, part in zip(self.views.views, self.at(0.0).each, parts, strict=True):
-            x, cover = _taken(part[0])
-            x = one.lit(x, cover)
+        seen = []
+        for view, one, colors, cover in self._parts(image, 0.0):
+            x = one.lit(colors, cover)
             if self.light != NONE:
                 x = np.clip(x, 0, 1)
             if cover is not None:
@@ -153,9 +197,7 @@ class Comparison:
     def leftovers(self, image: Float32) -> list[tuple[Float32, Float32, Float32 | None]]:
         """Of each view: the image (H, W, 3) in its light, the sharp target, weights (H, W)."""
         found = []
-        parts = self.views.split(image[None])
-        for view, one, part in zip(self.views.views, self.at(0.0).each, parts, strict=True):
-            x, cover = _taken(part[0])
+        for view, one, x, cover in self._parts(image, 0.0):
             weights = view.weights
             if cover is not None:
                 weights = cover if weights is None else weights * cover
@@ -203,7 +245,7 @@ class _Level:
 
     def __init__(self, comparison: Comparison, blur: float) -> None:
         views = comparison.views
-        self.each = [_OneView(comparison, view, blur) for view in views.views]
+        self.each = [_OneView(comparison, view, blur, i) for i, view in enumerate(views.views)]
         self.views, self.loss = views, comparison._loss
         if blur and comparison._loss_at is not None:
             shown = [
@@ -224,13 +266,13 @@ class _Level:
 
 
 class _OneView:
-    """Target of one view at a blur.
+    """Target of one view, of this number, at a blur.
 
     scale: of robust differences; None: they count as they are.
     """
 
-    def __init__(self, comparison: Comparison, view: View, blur: float) -> None:
-        self._comparison, self._view, self._blur = comparison, view, blur
+    def __init__(self, comparison: Comparison, view: View, blur: float, number: int) -> None:
+        self._comparison, self._view, self._blur, self._number = comparison, view, blur, number
         self.target = blurred(view.target, blur)
         self.shown = self.target
         self.small_weights = None if view.weights is None else _small(view.weights)
@@ -279,7 +321,9 @@ class _OneView:
         return blurred(image, self._comparison.camera)
 
     def light(self, image: Float32, coverage: Float32 | None) -> Light:
-        """Light in which a render (H, W, 3) is nearest to the target."""
+        """Light in which a render (H, W, 3) is nearest to the target, or that all have."""
+        if self._comparison.common is not None:
+            return self._comparison.common[self._number]
         kind, weights = self._comparison.light, self._view.weights
         if coverage is not None:
             weights = coverage if weights is None else weights * coverage
@@ -299,6 +343,11 @@ class _OneView:
         return self.shown + apart
 
 
+def _squares(apart: Float32) -> Float32:
+    """Squared length (H, W, 1) of differences (H, W, 3)."""
+    return np.asarray(np.square(apart).sum(axis=-1, keepdims=True), np.float32)
+
+
 def _scale(view: View) -> float:
     """Scale of robust differences, by the contrast of a target."""
     seen = view.target if view.hidden is None else view.target[~view.hidden]
@@ -313,10 +362,25 @@ def _times(image: Float32, factor: Float32) -> Float32:
 
 def checked(state: Mapping[str, Any]) -> Mapping[str, Any]:
     """The state of a comparison; ValueError if it is none."""
-    check(state, {"light": text, "blur": real(0.0), "camera": real(0.0)}, {}, "comparison")
+    check(state, _SCHEMA, {}, "comparison")
     if state["light"] not in (NONE, EXPOSURE, SHADING):
         raise ValueError(f"{state['light']!r} is no light")
-    return state
+    common = state["common"]
+    return {**state, "common": None if common is None else [Light(**one) for one in common]}
+
+
+_LIGHT: dict[str, Schema] = {
+    "gain": array("k", "k", "colors"),
+    "offset": array("colors"),
+    "curve": array("colors"),
+}
+_SCHEMA: dict[str, Schema] = {
+    "light": text,
+    "blur": real(0.0),
+    "camera": real(0.0),
+    "common": maybe(each(_LIGHT)),
+    "least": maybe(each(array("H", "W", "colors"))),
+}
 
 
 def _taken(image: Float32) -> tuple[Float32, Float32 | None]:

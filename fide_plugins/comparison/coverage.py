@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -12,8 +12,6 @@ from fide_plugins.types import Float32
 from fide_plugins.validation.images import as_target, is_image
 from fide_plugins.validation.values import OnClip
 from fide_plugins.views.views import Views
-
-__all__ = ["is_pair", "straight", "with_coverage", "without_coverage"]
 
 
 def is_pair(value: object) -> bool:
@@ -46,56 +44,38 @@ def with_coverage(views: Views, images: Any, n: int, on_clip: OnClip) -> Float32
         parts = list(images)
     else:
         return views.as_batch(images, n, on_clip)  # raises, or takes what is packed
-    found = [_split(one, view.size) for one, view in zip(parts, views.views, strict=True)]
-    plain = [one.images for one in found]
-    batch = views.as_batch(plain if views.listed else plain[0], n, on_clip)
-    if all(one.coverage is None for one in found):
+    covers = [_coverage(one, view.size) for one, view in zip(parts, views.views, strict=True)]
+    batch = views.as_batch(without_coverage(images, views.listed), n, on_clip)
+    if all(cover is None for cover in covers):
         return batch
-    covers = [
-        np.ones((n, *v.size), np.float32) if one.coverage is None else one.coverage
-        for one, v in zip(found, views.views, strict=True)
-    ]
-    colors = [
-        straight(part, cover) if one.is_alpha else part
-        for one, part, cover in zip(found, views.split(batch), covers, strict=True)
-    ]
-    four = [np.concatenate([x, a[..., None]], axis=-1) for x, a in zip(colors, covers, strict=True)]
+    four = []
+    for given, colors, cover in zip(parts, views.split(batch), covers, strict=True):
+        a = np.ones(colors.shape[:3], np.float32) if cover is None else cover
+        is_alpha = cover is not None and not (isinstance(given, list | tuple) and has_pairs(given))
+        shown = straight(colors, a) if is_alpha else colors
+        four.append(np.concatenate([shown, a[..., None]], axis=-1))
     return views.pack(four, (n,))
 
 
-class _Split(NamedTuple):
-    """Renders of one view; coverage (n, H, W), None without; whether that is an alpha channel."""
-
-    images: Any
-    coverage: Float32 | None = None
-    is_alpha: bool = False
+def has_pairs(images: Iterable[Any]) -> bool:
+    """Whether some of the renders are pairs of an image and its coverage."""
+    return any(map(is_pair, images))
 
 
-def _split(images: Any, size: tuple[int, int]) -> _Split:
-    """Renders of one view and their coverage.
+def _coverage(images: Any, size: tuple[int, int]) -> Float32 | None:
+    """Coverage (n, H, W) of renders of one view, as `FIDE.tell` takes them; None without any.
 
-    images: as `FIDE.tell` takes them, or a list of pairs.  size: (H, W).
-
-    Raises ImageError for a coverage that does not fit.
+    Raises ImageError for one that does not fit.
     """
-    if isinstance(images, list | tuple):
-        if not any(map(is_pair, images)):
-            alphas = [_alpha(one) for one in images]
-            if all(alpha is None for alpha in alphas):
-                return _Split(images)
-            full = np.ones(size, np.float32)
-            kept = [full if alpha is None else alpha for alpha in alphas]
-            return _Split(images, _stacked(kept, size), is_alpha=True)
-        pairs = [one if is_pair(one) else (one, np.ones(size, np.float32)) for one in images]
-        return _Split([image for image, _ in pairs], _stacked([a for _, a in pairs], size))
-    alpha = _alpha(images, batch=True)
-    if alpha is None:
-        return _Split(images)
-    return _Split(images, _stacked(alpha, size), is_alpha=True)
-
-
-def _stacked(coverages: Iterable[Any], size: tuple[int, int]) -> Float32:
-    return np.stack([_checked(one, size) for one in coverages])
+    if not isinstance(images, list | tuple):
+        covers = _alpha(images, batch=True)
+        return None if covers is None else np.stack([_checked(one, size) for one in covers])
+    pairs = has_pairs(images)
+    found = [(one[1] if is_pair(one) else None) if pairs else _alpha(one) for one in images]
+    if all(one is None for one in found):
+        return None
+    full = np.ones(size, np.float32)
+    return np.stack([_checked(full if one is None else one, size) for one in found])
 
 
 def straight(batch: Float32, coverage: Float32) -> Float32:

@@ -10,8 +10,6 @@ import numpy as np
 from fide_plugins.runtime.schema import Schema, Sides, array, check, flag, maybe, whole
 from fide_plugins.types import Float32, Float64, Solution
 
-__all__ = ["Kept"]
-
 _MOST = 16
 _BYTES = 2**24  # of all of them; one is kept, however large
 _SCHEMA: dict[str, Schema] = {

@@ -1,11 +1,8 @@
 """What explains a residual that no parameter removes: light, blur, clutter or texture.
 
-*Light*: another gain, offset and curve of each channel, or a smooth field of gains.  *Blur*: the
-render, filtered.  *Clutter*: a small part of the pixels.  *Texture*: fine structure, which is gone
-in both where they are blurred.  Each explains the share of the squared difference that it removes.
-
-The image of a local optimum differs in a small part of the pixels, or in fine structure, too.  So
-clutter and texture are named only where several searches ended at the same answer.
+Each explains the share of the squared difference that it removes: another light or a blur of the
+render, a small part of the pixels, fine structure.  The image of a local optimum differs in the
+last two, too, so these are named only where several searches ended at the same answer.
 """
 
 from __future__ import annotations
@@ -15,8 +12,6 @@ import numpy as np
 from fide_plugins.comparison.light import SHADING, fit_light
 from fide_plugins.comparison.scale_space import blurred
 from fide_plugins.types import Float32, Float64
-
-__all__ = ["explanation"]
 
 _EXPLAINED = 0.6, 0.8  # share of the squared difference: where searches agree, and elsewhere
 _LEAST = 0.02  # root mean square of a difference that is worth a word

@@ -2,20 +2,15 @@
 
 Thin or repeated structures have no basin of a useful width: unless a render is nearly right, its
 loss says nothing of how far it is.  Blurred, they have one (Witkin 1983, "Scale-space filtering").
-So a search may begin with all images blurred, loss, features and steps alike.  When it is over, or
-narrower than the blur, the next one begins at its best candidate with a smaller blur, and the last
-one with none.  Renders are sharp and so is `FIDE.best`; only what the search is told is not.
+When a blurred search is over, or narrower than the blur, the next one begins at its best candidate
+with a smaller blur, the last one with none.  `FIDE.best` is always sharp.
 
 Where regions are wide and flat a blur hides what counts.  So the first candidates decide: if their
 parameters follow better from blurred images than from sharp ones, by a linear model that has not
-seen them, a search from a random place that begins coarse is one of the moves from then on
-(`search.moves.Coarsen`), raced with the others.  If they follow much better, or if sharp features
-hardly agree with the losses, the first search begins again at once, coarse; where they agree even
-less, all searches are as patient as where the user asks for blurs.  Elsewhere nothing changes.
-
-A photograph needs it more often (``photo=True``).  Where its renders say what they draw, all
-searches begin coarse: at the blurs that leave enough of the renders' contrast, since a board of
-squares that is blurred to one gray has no place.
+seen them, such a search is one of the moves (`search.moves.Coarsen`); if much better, or if sharp
+features hardly agree with the losses, the first search begins again at once, coarse.  Of
+photographs whose renders say what they draw all searches begin coarse, at blurs that leave enough
+contrast.
 """
 
 from __future__ import annotations
@@ -34,8 +29,6 @@ from fide_plugins.views import Views
 if TYPE_CHECKING:
     from fide_plugins.comparison.kept import Kept
     from fide_plugins.search.moves import Start
-
-__all__ = ["ScaleSpace", "blurred", "predictability"]
 
 BLURS = (0.05, 0.025, 0.0125)
 """Standard deviations of one search after another, in sides of the image; then sharp."""
@@ -241,17 +234,18 @@ def contrast(views: Views, kept: Kept, blur: float) -> float:
     return float(np.mean(found)) if found else 0.0
 
 
-def _flat(seen: list[tuple[int, Float64, list[Float32]]], share: float) -> Float64:
+def _flat(seen: list[tuple[int, Float64, list[Float32]]], share: float) -> Float32:
     """Blurred images as rows (n, ...); share: standard deviation in sides of the image."""
     side = min(min(part.shape[:2]) for part in seen[0][2])
-    rows = [
-        np.concatenate([blurred(part, share * side).ravel() for part in images])
-        for _, _, images in seen
-    ]
-    return np.array(rows, np.float64)
+    return np.array(
+        [
+            np.concatenate([blurred(part, share * side).ravel() for part in images])
+            for _, _, images in seen
+        ]
+    )
 
 
-def predictability(images: Float64, X: Float64) -> float:
+def predictability(images: Float32 | Float64, X: Float64) -> float:
     """How well parameters X (n, d) follow from images (n, p) by a linear model, in [0, 1].
 
     The mean over the parameters of 1 - e / v, at least 0, with e the mean squared error of the
@@ -259,8 +253,8 @@ def predictability(images: Float64, X: Float64) -> float:
     seven that is best.
     """
     n = len(X)
-    centered = images - images.mean(axis=0)
-    values, vectors = np.linalg.eigh(centered @ centered.T)
+    centered = images - images.mean(axis=0, dtype=np.float64).astype(images.dtype)
+    values, vectors = np.linalg.eigh((centered @ centered.T).astype(np.float64))
     values = np.maximum(values, 0.0)
     if not values.any():
         return 0.0

@@ -11,7 +11,6 @@ from torch import Tensor, nn
 
 from fide_plugins.denoiser import Denoise, Network
 from fide_plugins.denoiser.network import ParameterTransformer
-from fide_plugins.runtime.devices import BatchSize
 
 Preconditioner = Callable[[Network], Denoise]
 
@@ -52,7 +51,7 @@ def fit(
     std: Tensor,
     *,
     epochs: int,
-    batch_size: BatchSize,
+    batch_size: int,
     generator: torch.Generator,
 ) -> Tensor:
     """Train for `epochs` passes over the pairs (x [n, d], tokens [n, T, C]), in random order.
@@ -65,18 +64,14 @@ def fit(
     losses = torch.zeros(epochs, device=x.device, dtype=x.dtype)
     for epoch in range(epochs):
         order = torch.randperm(len(x), generator=generator, device=x.device)
-
-        def step(piece: slice, order: Tensor = order, total: Tensor = losses[epoch]) -> None:
-            batch = order[piece]
+        for batch in torch.split(order, batch_size):
             context = network.encode_context(tokens[batch.to(tokens.device)].to(x))
             denoise = precondition(partial(network, context=context))
             loss = objective(denoise, x[batch], std, generator)
             optimizer.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
             optimizer.step()
-            total += loss.detach() * (len(batch) / len(x))
-
-        batch_size.each(step, len(order))
+            losses[epoch] += loss.detach() * (len(batch) / len(x))
     return losses
 
 

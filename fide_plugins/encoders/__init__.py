@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from fide_plugins.encoders.base import PatchEncoder
 
-__all__ = ["WeightsNotFoundError", "make", "name_of", "names", "register", "uses_network"]
+__all__ = ["WeightsNotFoundError", "make", "names", "register", "uses_network"]
 
 _REGISTRY: Registry[Any] = Registry("encoder")
 
@@ -50,15 +50,6 @@ def make(name: str, *, device: str | torch.device = "cpu", **options: object) ->
     from fide_plugins.encoders.own import OwnEncoder
 
     return OwnEncoder(made, name=name, device=device)
-
-
-def name_of(encoder: Any) -> str | None:
-    """Name of an encoder, of a callable that is one, or of a name itself."""
-    if encoder is None or isinstance(encoder, str):
-        return encoder
-    from fide_plugins.runtime.registry import own_name
-
-    return own_name(encoder)
 
 
 def uses_network(name: str) -> bool:

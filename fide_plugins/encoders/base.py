@@ -16,8 +16,6 @@ from fide_plugins.runtime.threads import user_threads
 from fide_plugins.types import Float32
 from fide_plugins.validation.images import as_batch
 
-__all__ = ["PatchEncoder", "as_features"]
-
 CHUNK = 2**21  # values of the images encoded at a time: 8 MB, which fit a CPU's cache
 
 

@@ -35,8 +35,6 @@ from fide_plugins.runtime.opencv import cv2
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.types import Float32
 
-__all__ = ["DenseEncoder", "grid"]
-
 SIDE = 14  # patches along the side of a square image
 MAX_TOKENS = 256
 SAMPLES = 2
@@ -96,10 +94,15 @@ def despeckled(image: Float32) -> Float32:
 
 
 def noise_level(image: Float32, clean: Float32) -> float:
-    """Median over pixels of some rows of the largest color difference of two images (H, W, 3)."""
+    """Median over pixels of some rows of the largest color difference of two images (H, W, 3).
+
+    0 where it is below `FAINT`.
+    """
     step = max(1, len(image) // ROWS)
     apart = np.abs(image[::step] - clean[::step])
     largest = np.maximum(np.maximum(apart[..., 0], apart[..., 1]), apart[..., 2]).ravel()
+    if np.count_nonzero(largest < FAINT) > len(largest) // 2:  # most renders have none
+        return 0.0
     return float(np.sort(largest)[len(largest) // 2])  # np.partition is ten times slower with ties
 
 

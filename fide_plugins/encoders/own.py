@@ -22,8 +22,6 @@ from fide_plugins.runtime.registry import Referent, name_of, tried_on
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.types import Float32
 
-__all__ = ["OwnEncoder", "check_encoder", "referenced"]
-
 _REFERENT = Referent(
     "encoder",
     "a function of images",

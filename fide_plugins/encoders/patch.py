@@ -12,8 +12,6 @@ from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.errors import ImageError
 from fide_plugins.runtime.threads import one_thread
 
-__all__ = ["RawPatchEncoder", "patches", "resized"]
-
 PATCH = 16
 
 

@@ -20,8 +20,6 @@ from fide_plugins.errors import ImageError
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.types import Float32, Float64
 
-__all__ = ["TextureEncoder", "statistics"]
-
 LEAST_SIZE = 8  # pixels of each side
 
 OPPONENT = np.array([[0.299, 0.587, 0.114], [0.5, -0.5, 0.0], [0.25, 0.25, -0.5]], np.float32)

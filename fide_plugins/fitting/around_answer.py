@@ -1,8 +1,6 @@
-"""Renders around the answer of a fit, from which its standard deviations are computed.
+"""Renders around the answer of a fit, two a number, which tell its standard deviations.
 
-Two renders a number, at either side, and one of the answer itself, which tells whether the renderer
-has noise: then nothing is said.  Where the image bends, or one side is known only, a nearer step
-tells a slope from a jump; where nothing changes the step grows.  No less than a jump is claimed.
+Where the image bends, or one side is known only, a nearer step tells a slope from a jump.
 """
 
 from __future__ import annotations
@@ -146,31 +144,29 @@ def _energy(pixels: Float32 | Float64) -> float:
     return float(np.square(pixels, dtype=np.float64).sum())
 
 
+@dataclass(eq=False)
 class _Around:
     """Renders around the answer x (d,), whose packed image (H, W, 3) is known."""
 
-    def __init__(
-        self,
-        optimizer: FIDE,
-        workers: Workers,
-        timeout: float | None,
-        most: float,
-        deadline: float,
-    ) -> None:
-        best = optimizer.state.best
+    optimizer: FIDE
+    workers: Workers
+    timeout: float | None
+    most: float
+    deadline: float
+    renders: int = 0
+
+    def __post_init__(self) -> None:
+        best, views = self.optimizer.state.best, self.optimizer.views.views
         assert best is not None and best.solution.image is not None
-        self._optimizer, self._workers, self._timeout = optimizer, workers, timeout
         self._x, self._image = best.solution.x, best.solution.image
-        self._most, self._deadline = most, deadline
-        layout = optimizer.state.search.setting.layout
+        layout = self.optimizer.state.search.setting.layout
         self._periodic = np.zeros(len(self._x), bool) if layout is None else layout.periodic
-        p = len(numbers(optimizer))
-        self._together = [pixels_together(p, *view.size, 3) for view in optimizer.views.views]
-        self.renders = 0
+        p = len(numbers(self.optimizer))
+        self._together = [pixels_together(p, *view.size, 3) for view in views]
 
     @property
     def left(self) -> float:
-        return self._most - self.renders
+        return self.most - self.renders
 
     def is_the_same_again(self) -> bool:
         """Whether the answer has the same image when it is rendered again."""
@@ -201,7 +197,7 @@ class _Around:
     @one_thread
     def deviations(self, slopes: Sequence[Sequence[Float64]]) -> Float64:
         """(p,), standard deviations, of p reduced slopes of each view."""
-        views, image = self._optimizer.views, self._image
+        views, image = self.optimizer.views, self._image
         residuals = views.differences(views.target, image)
         weights = views.differences(np.ones_like(image), np.zeros_like(image))
         images = [one[0].astype(np.float64) for one in views.split(image[None])]
@@ -221,7 +217,7 @@ class _Around:
             distance = abs(min(max(float(self._x[axis]) + step, 0.0), 1.0) - float(self._x[axis]))
             if distance < _LEAST * abs(step):
                 return 0.0
-        validity = self._optimizer.validity
+        validity = self.optimizer.validity
         point = self._point(axis, float(np.copysign(distance, step)))
         return distance if validity is None or validity.allows(point) else 0.0
 
@@ -240,7 +236,7 @@ class _Around:
             curvature = bent / max(straight, _TINY)
         changed = any(one is not None and np.abs(one - at).max() > _SAME for one in (below, above))
         low, high = low if below is not None else 0.0, high if above is not None else 0.0
-        apart = self._optimizer.views.differences(
+        apart = self.optimizer.views.differences(
             at if above is None else above, at if below is None else below
         )
         slopes = [one / (low + high) for one in self._reduced(apart)]
@@ -252,15 +248,15 @@ class _Around:
 
     def _render(self, X: Float64) -> Iterator[Float32 | None]:
         """Packed images (H, W, 3) of points X (n, d), as they come; None: the render failed."""
-        outcomes = gathered(self._workers, X, self._timeout)
-        if self.renders + len(X) > self._most:
+        outcomes = gathered(self.workers, X, self.timeout)
+        if self.renders + len(X) > self.most:
             raise _OverError
         for _ in X:
-            if time.perf_counter() > self._deadline:
+            if time.perf_counter() > self.deadline:
                 raise _OverError
             self.renders += 1
             outcome, image = next(outcomes), None
             if isinstance(outcome, Rendered):
                 with suppress(ImageError):  # no image that fits is a render that failed, too
-                    image = canonical(self._optimizer, outcome.image)
+                    image = canonical(self.optimizer, outcome.image)
             yield image

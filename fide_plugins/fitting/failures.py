@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -52,35 +52,6 @@ class RenderFailedWarning(RuntimeWarning):
     """A render gave no image; issued once for each fit."""
 
 
-@dataclass(frozen=True, slots=True)
-class Failure:
-    """A render that gave no image.
-
-    params: argument of the user's function.
-    reason: in one line; details: the traceback, or what else is known.
-    names_params: whether they say with which parameters.
-    """
-
-    params: Any
-    reason: str
-    details: str = ""
-    names_params: bool = False
-
-    def __str__(self) -> str:
-        return "\n".join(filter(None, [self.reason, self._call, self.details]))
-
-    @property
-    def brief(self) -> str:
-        """The same with the last line of a traceback, or of a program's output, only."""
-        end = self.details.rpartition("\n")[2].strip()
-        told = self.reason if not end or end in self.reason else f"{self.reason}: {end}"
-        return "\n".join(filter(None, [told, self._call]))
-
-    @property
-    def _call(self) -> str:
-        return "" if self.names_params else f"render({self.params})"
-
-
 @dataclass
 class Failures:
     """Failures of a fit, with those of earlier calls; first: of this call.
@@ -92,7 +63,7 @@ class Failures:
 
     count: int = 0
     max_failures: float = 1.0
-    first: Failure | None = None
+    first: Failed | None = None
     _done: int = 0
     _images: int = 0
     _in_a_row: int = 0  # failed since the last image
@@ -114,7 +85,7 @@ class Failures:
         self._all_broken &= failed.broken
         self._latest.append(True)
         if self.first is None:
-            self.first = Failure(params, failed.reason, failed.details, failed.names_params)
+            self.first = replace(failed, params=params)
             message = f"a render failed, its candidate is withdrawn: {self.first}"
             warn_user(message, RenderFailedWarning)
 

@@ -1,9 +1,4 @@
-"""How fine renders are: as small, and of as few samples a pixel, as the present step can do with.
-
-A search begins with the smallest pictures and the fewest samples; `schedule` says when they become
-finer.  Losses of another fineness are forgotten (`comparing.compare_finer`), and the best candidate
-is rendered again first.
-"""
+"""How fine renders may be: a `Fidelity`, and workers that are asked as a `Schedule` says."""
 
 from __future__ import annotations
 

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Mapping
 from contextlib import closing, nullcontext, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -25,11 +25,10 @@ from fide_plugins.fitting.failures import (
 from fide_plugins.fitting.fidelity import WorkersAsked
 from fide_plugins.fitting.loop import Loop
 from fide_plugins.fitting.pictures import as_compared, as_told, canonical, shown
-from fide_plugins.fitting.planning import Planner
 from fide_plugins.fitting.rendering import Failed, Outcome, Renderer, Workers
 from fide_plugins.fitting.result import Result, result_of
 from fide_plugins.fitting.saved_run import SavedRun, Unsaved
-from fide_plugins.fitting.schedule import Schedule
+from fide_plugins.fitting.schedule import Planner, Schedule
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers import gathered
 from fide_plugins.recording.directory import note_unsaved
@@ -55,59 +54,54 @@ class FitInterrupted(Interrupted):
     result: Result
 
 
+@dataclass(eq=False)
 class Fitting:
     """A fit; made by `one_call.prepare`; plan: arguments of a `SavedRun`, to save its result."""
 
-    def __init__(
-        self,
-        optimizer: FIDE,
-        renderer: Renderer,
-        workers: Workers,
-        stopping: Stopping,
-        callbacks: Callbacks,
-        record: Record | None = None,
-        saved: SavedRun | None = None,
-        *,
-        timeout: float | None = None,
-        progress: object = None,
-        checkpoint_every: float = 5.0,
-        plan: Mapping[str, Any] | None = None,
-        max_failures: float = 1.0,
-        schedule: Schedule | None = None,
-    ) -> None:
-        self.optimizer, self.record, self.saved = optimizer, record or Record(), saved
-        self._renderer, self._workers, self._stopping = renderer, workers, stopping
-        self._callbacks, self._timeout, self._progress = callbacks, timeout, progress
-        self._checkpoint_every, self._plan = checkpoint_every, plan or {}
-        self._failures = Failures(self.record.failures, max_failures)
-        self._comparisons = optimizer.state.comparisons
+    optimizer: FIDE
+    renderer: Renderer
+    workers: Workers
+    stopping: Stopping
+    callbacks: Callbacks
+    record: Record
+    saved: SavedRun | None
+    plan: Mapping[str, Any]
+    timeout: float | None
+    progress: object
+    checkpoint_every: float
+    max_failures: float
+    schedule: Schedule | None
+
+    def __post_init__(self) -> None:
+        self._failures = Failures(self.record.failures, self.max_failures)
+        self._comparisons = self.optimizer.state.comparisons
         self._done_before = self.record.evaluations
         self._render_seconds = 0.0  # of renders of this call's search that gave an image
         self._shown_at = 0.0
         self._std: Float64 | None = None
         self._std_renders = 0
-        self._schedule = schedule
-        if schedule is not None:
-            if self.record.fineness is None:
-                schedule.begin()
-            else:
-                schedule.load_state_dict(self.record.fineness)
-            self._workers = WorkersAsked(workers, schedule)
-            self._stopping = replace(stopping, schedule=schedule)
-        self._pool, self._planner = workers, None
-        if stopping.seconds is not None and not self.record.evaluations:
-            self._planner = Planner(stopping.seconds, workers.number, optimizer.views.views)
+        self._pool, self._planner = self.workers, None
+        if self.schedule is None:
+            return
+        if self.record.fineness is None:
+            self.schedule.begin()
+        else:
+            self.schedule.load_state_dict(self.record.fineness)
+        self.workers = WorkersAsked(self.workers, self.schedule)
+        self.stopping = replace(self.stopping, schedule=self.schedule)
+        if self.stopping.seconds is not None and not self.record.evaluations:
+            self._planner = Planner(self.stopping.seconds, self.workers.number)
 
     def execute(self) -> Result:
         """Fit until a rule says stop; raises what `fit` does, after saving what was computed."""
         with (
             nullcontext() if self.saved is None else closing(self.saved),
             Interrupts(once=True) as interrupts,
-            reporting(self._progress) as self._report,
+            reporting(self.progress) as self._report,
         ):
             self._loop = Loop(
-                self, self.optimizer, self._workers, self._stopping, self.record, interrupts,
-                timeout=self._timeout, checkpoint_every=self._checkpoint_every,
+                self, self.optimizer, self.workers, self.stopping, self.record, interrupts,
+                timeout=self.timeout, checkpoint_every=self.checkpoint_every,
             )  # fmt: skip
             try:
                 stopped = self._run(interrupts)
@@ -117,16 +111,16 @@ class Fitting:
                 return self._end(stopped, interrupts, error)  # which raises it
             finally:
                 with suppress(Interrupted), interrupts.unblocked():  # a second signal does not wait
-                    self._workers.close()
+                    self.workers.close()
             return self._end(stopped, interrupts, None)
 
     def _run(self, interrupts: Interrupts) -> str:
         """Search; returns why the search has ended."""
         loop = self._loop
         loop.stopped = loop.over()
-        if self._planner and self._schedule and loop.stopped is None:
+        if self._planner and self.schedule and loop.stopped is None:
             with interrupts.stoppable():
-                self._planner.measure(self.optimizer, self._schedule, self._pool, self._timeout)
+                self._planner.measure(self.optimizer, self.schedule, self._pool, self.timeout)
             self._planner.show(self._report is not None)
         stopped = loop.run()
         if stopped != "callback":
@@ -135,15 +129,13 @@ class Fitting:
 
     def _judge(self) -> None:
         """Render the best candidate as finely as possible, where that was not done."""
-        if self._schedule is not None and (X := self._schedule.rise_to_finest()) is not None:
-            for outcome in gathered(self._workers, X, self._timeout):
+        if self.schedule is not None and (X := self.schedule.rise_to_finest()) is not None:
+            for outcome in gathered(self.workers, X, self.timeout):
                 self.tell(X, outcome)
-
-    # -- steps of the loop -------------------------------------------------------------------------
 
     def ask(self) -> Float64:
         """Next candidate (1, d); after the first ones have all failed, a random place."""
-        if self._schedule is not None and (X := self._schedule.ask()) is not None:
+        if self.schedule is not None and (X := self.schedule.ask()) is not None:
             return X
         if not self._is_lost:
             return self.optimizer.ask(1)
@@ -156,8 +148,8 @@ class Fitting:
 
     def tell(self, X: Float64, outcome: Outcome) -> bool:
         """Tell the outcome of X (1, d), or withdraw it; returns whether it is the best so far."""
-        if self._schedule is not None:
-            answer = self._schedule.received(X[0], outcome)
+        if self.schedule is not None:
+            answer = self.schedule.received(X[0], outcome)
             if answer == "again":
                 self._loop.put_back(X)
             if answer != "tell":
@@ -166,8 +158,6 @@ class Fitting:
             self._withdraw(X, outcome)
             return False
         self._render_seconds += outcome.seconds
-        if self._planner and not self._schedule and self._planner.note(outcome.seconds):
-            self._planner.show(self._report is not None)
         lost = self._is_lost
         try:
             loss = self._evaluate(X, as_told(self.optimizer, outcome.image))
@@ -182,7 +172,7 @@ class Fitting:
         self._loop.tick()
         r, image = self.record, None
         better = math.isfinite(loss) and loss < r.best_loss
-        if better or r.first_image is None or self._callbacks:
+        if better or r.first_image is None or self.callbacks:
             image = canonical(self.optimizer, outcome.image)
         if r.first_image is None:
             r.first_image = as_compared(self.optimizer, outcome.image)
@@ -192,17 +182,17 @@ class Fitting:
             self._comparisons, improved = changes, False
             r.keep_only(best.solution)
         self._loop.whole = True
-        if self._schedule is not None:
-            spent, left = self._stopping.spent(r.evaluations, r.wall_s)
-            self._schedule.note(X[0], loss, spent=spent, left=left - self._loop.busy)
+        if self.schedule is not None:
+            spent, left = self.stopping.spent(r.evaluations, r.wall_s)
+            self.schedule.note(X[0], loss, spent=spent, left=left - self._loop.busy)
         self._failures.note_image()
-        if self._callbacks:
+        if self.callbacks:
             self._call_back(X[0], image, loss)
         return improved
 
     def _withdraw(self, X: Float64, failed: Failed) -> None:
         self.optimizer.withdraw(X)
-        self._failures.note(failed, self._renderer.params(X[0]))
+        self._failures.note(failed, self.renderer.params(X[0]))
         self._failures.check()
 
     def _evaluate(self, X: Float64, images: Any) -> float:
@@ -238,7 +228,7 @@ class Fitting:
             failures=self._failures.count,
             optimizer=self.optimizer,
         )
-        if self._callbacks.call("on_evaluation", event):
+        if self.callbacks.call("on_evaluation", event):
             self._loop.stopped = "callback"
 
     def show(self, last: bool) -> None:
@@ -249,8 +239,8 @@ class Fitting:
         self._shown_at, count = now, self._failures.count
         self._loop.tick()  # a render that failed has not entered its time
         remark = f"{self._loop.busy} rendering" + (f", {count} failed" if count else "")
-        at = self.record.progress(self._stopping.budget or 0)
-        self._report(replace(at, remark=remark, time=self._stopping.seconds))
+        at = self.record.progress(self.stopping.budget or 0)
+        self._report(replace(at, remark=remark, time=self.stopping.seconds))
 
     def save(self) -> None:
         """Write a checkpoint, if there is a run directory."""
@@ -263,22 +253,20 @@ class Fitting:
         """Enter what was asked and not told in the record, so that it may be saved."""
         r = self.record
         r.pending, r.failures = self._loop.pending, self._failures.count
-        if self._schedule is not None:
-            r.fineness = self._schedule.state_dict()
+        if self.schedule is not None:
+            r.fineness = self.schedule.state_dict()
         self._loop.tick()
-
-    # -- ending ------------------------------------------------------------------------------------
 
     def _say_how_sure(self, stopped: str, interrupts: Interrupts) -> None:
         """Render around the answer, where budget and time have room, for standard deviations."""
         best, done = self.optimizer.state.best, self.record.evaluations
         if best is None or best.solution.image is None or stopped in ("time", "callback"):
             return
-        p, rules = len(numbers(self.optimizer)), self._stopping
+        p, rules = len(numbers(self.optimizer)), self.stopping
         need = 1 + 4 * p
         room = math.inf if rules.budget is None else max(rules.budget - done, done // _MORE)
         new = max(1, done - self._done_before)
-        each = self._render_seconds / new / max(1, self._workers.number)
+        each = self._render_seconds / new / max(1, self.workers.number)
         left = math.inf if rules.seconds is None else rules.seconds - self.record.wall_s
         if self.optimizer.state.pixel_noise.variance or not 0 < p <= MOST_NUMBERS:
             return
@@ -286,7 +274,7 @@ class Fitting:
             return
         deadline = time.perf_counter() + left
         with suppress(Interrupted, np.linalg.LinAlgError), interrupts.stoppable():
-            std, renders = std_around(self.optimizer, self._workers, self._timeout, room, deadline)
+            std, renders = std_around(self.optimizer, self.workers, self.timeout, room, deadline)
             if std is not None:
                 self._std, self._std_renders = std, renders
 
@@ -304,7 +292,7 @@ class Fitting:
             warn_user(suspicion)
         try:
             with interrupts.unblocked():
-                self._callbacks.call("on_end", result)
+                self.callbacks.call("on_end", result)
         except (CallbackError, Interrupted) as failed:
             error = error or failed
         if error is not None:
@@ -324,9 +312,9 @@ class Fitting:
                 self._note_pending()
                 saved.write_tables(record, optimizer)
         except Exception:
+            state = "failed" if state == "finished" else state
             with suppress(Exception):
-                failed = "failed" if state == "finished" else state
-                saved.leave(failed, stopped, record, optimizer, self._solutions, plan)
+                saved.leave(state, stopped, record, optimizer, self._solutions, plan)
             raise
         saved.leave(state, stopped, record, optimizer, self._solutions, plan)
 
@@ -348,16 +336,16 @@ class Fitting:
             optimizer,
             self.record,
             solutions,
-            params=self._renderer.params(solutions[0].x) if solutions else None,
+            params=self.renderer.params(solutions[0].x) if solutions else None,
             failures=self._failures.count,
             rejected=None if validity is None else validity.share_rejected,
             first_failure=self._failures.first,
-            busy=min(1.0, self._render_seconds / searched / max(1, self._workers.number)),
+            busy=min(1.0, self._render_seconds / searched / max(1, self.workers.number)),
             stopped=stopped,
             out=None if self.saved is None else self.saved.path,
             std_renders=self._std_renders,
             plan=() if self._planner is None else tuple(self._planner.lines),
-            unsaved=Unsaved(optimizer, record, self._plan, stopped, solutions),
+            unsaved=Unsaved(optimizer, record, self.plan, stopped, solutions),
         )
 
 

@@ -1,15 +1,16 @@
 """The loop of `fit` and of the runs of the lab: ask, render, tell, record, until a rule says stop.
 
-With one worker the candidate that is asked knows all that was rendered: the same seed gives the
-same fit, that of ``x = opt.ask(1); opt.tell(x, [render(x)])``.
+With one worker, the same seed gives the fit of ``x = opt.ask(1); opt.tell(x, [render(x)])``.
 """
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import KW_ONLY, dataclass
 from queue import Empty, SimpleQueue
 from typing import Any, Protocol
 
@@ -43,6 +44,7 @@ class Steps(Protocol):
         """Write a checkpoint, if there is a run directory."""
 
 
+@dataclass(eq=False)
 class Loop:
     """Asks, renders, tells and records until a rule says stop.
 
@@ -58,43 +60,39 @@ class Loop:
     search_began, search_ended: when renders began and ceased to count, by `time.perf_counter`.
     """
 
-    stopped: str | None
+    steps: Steps
+    optimizer: Optimizer
+    workers: Workers
+    stopping: Stopping
+    record: Record
+    interrupts: Interrupts
+    _: KW_ONLY
+    timeout: float | None = None
+    piece: int | None = None
+    checkpoint_every: float = 5.0
 
-    def __init__(
-        self,
-        steps: Steps,
-        optimizer: Optimizer,
-        workers: Workers,
-        stopping: Stopping,
-        record: Record,
-        interrupts: Interrupts,
-        *,
-        timeout: float | None = None,
-        piece: int | None = None,
-        checkpoint_every: float = 5.0,
-    ) -> None:
-        self.optimizer, self.record, self.workers = optimizer, record, workers
-        self.whole, self.stopped = True, None
-        self._steps, self._stopping, self._interrupts = steps, stopping, interrupts
-        self._timeout, self._piece = timeout, piece
+    def __post_init__(self) -> None:
+        self.stopped: str | None = None
+        self.whole = True
         self._running: dict[Task, Float64] = {}
-        self._waiting: deque[Float64] = deque([] if record.pending is None else record.pending)
+        pending = self.record.pending
+        self._waiting: deque[Float64] = deque([] if pending is None else pending)
         self._arrived: SimpleQueue[Task] = SimpleQueue()
-        self.checkpoints = CheckpointTimer(checkpoint_every)
+        self.checkpoints = CheckpointTimer(self.checkpoint_every)
         self._clock = time.perf_counter()
         self.search_began = self.search_ended = self._clock
 
     def run(self) -> str:
         """Search until a rule says stop; returns its name."""
         stopped = self.over()
-        self._steps.show(last=stopped is not None)  # from where the speed counts
+        self.steps.show(last=stopped is not None)  # from where the speed counts
         try:
             while stopped is None:
                 stopped = self._step()
-                self._steps.show(last=stopped is not None)
+                self.steps.show(last=stopped is not None)
                 if self.checkpoints.due():
-                    self._steps.save()
-                self._interrupts.check()
+                    self.steps.save()
+                self.interrupts.check()
         finally:
             self.search_ended = time.perf_counter()
         return stopped
@@ -116,13 +114,11 @@ class Loop:
         if self.stopped is not None:
             return self.stopped
         fide: Any = self.optimizer  # of another one only the budget is asked
-        return self._stopping.reached(r.losses, r.wall_s, r.best_loss, improved, fide)
+        return self.stopping.reached(r.losses, r.wall_s, r.best_loss, improved, fide)
 
     def put_back(self, X: Float64) -> None:
         """Render candidates (n, dim) again that could not be told."""
         self._waiting.extendleft(X[::-1])
-
-    # -- time --------------------------------------------------------------------------------------
 
     def tick(self) -> None:
         """Enter the seconds since the last call in the record."""
@@ -143,12 +139,10 @@ class Loop:
     def _rendering(self) -> Iterator[None]:
         start = time.perf_counter()
         try:
-            with self._interrupts.stoppable():
+            with self.interrupts.stoppable():
                 yield
         finally:
             self.record.times["render"] += time.perf_counter() - start
-
-    # -- asking ------------------------------------------------------------------------------------
 
     def _step(self) -> str | None:
         """Wait for a render, and tell it; returns why the run is over, None if it is not."""
@@ -165,16 +159,19 @@ class Loop:
         outcome = self._outcome(task)
         if self.workers.number > 1:
             self._fill(free=1)
-        return self.over(self._steps.tell(self._running.pop(task), outcome))
+        return self.over(self.steps.tell(self._running.pop(task), outcome))
 
     def _fill(self, free: int = 0) -> None:
         """Give every free worker candidates; free: finished renders that are not told yet."""
-        while len(self._running) - free < self.workers.usable and self._may_ask():
+        budget = self.stopping.budget or math.inf
+        while len(self._running) - free < self.workers.usable:
+            if not self._waiting and self.record.evaluations + len(self._running) >= budget:
+                return
             if not self._waiting:
                 self._ask()
             X = np.array([self._waiting[i] for i in range(self._together())])
             with self._rendering():  # where it renders in this process
-                task = self.workers.submit(X[0] if self._piece is None else X)
+                task = self.workers.submit(X[0] if self.piece is None else X)
             for _ in X:
                 self._waiting.popleft()
             self._running[task] = X
@@ -183,28 +180,20 @@ class Loop:
     def _ask(self) -> None:
         self.whole = False
         with self.record.timing(self.optimizer):
-            self._waiting.extend(self._steps.ask())
+            self._waiting.extend(self.steps.ask())
         self.whole = True
 
     def _together(self) -> int:
         """How many of the waiting candidates are rendered next, as far as the budget allows."""
-        most, budget = self._piece or 1, self._stopping.budget
-        if budget is not None:
-            most = min(most, max(1, budget - self.record.evaluations))
-        return min(most, len(self._waiting))
-
-    def _may_ask(self) -> bool:
-        budget, done = self._stopping.budget, self.record.evaluations
-        return bool(self._waiting) or budget is None or done + len(self._running) < budget
-
-    # -- waiting -----------------------------------------------------------------------------------
+        left = (self.stopping.budget or math.inf) - self.record.evaluations
+        return int(min(self.piece or 1, max(1, left), len(self._waiting)))
 
     def _next(self) -> Task | None:
         """A render that is done, or that has taken too long; None: look at the clock."""
-        overdue = late(self.workers, self._running, self._timeout)
+        overdue = late(self.workers, self._running, self.timeout)
         if overdue is not None:
             return overdue
-        limits = [LOOK if self._timeout is not None else None, self._left()]
+        limits = [LOOK if self.timeout is not None else None, self._left()]
         given = [limit for limit in limits if limit is not None]
         try:
             with self._rendering():
@@ -215,14 +204,14 @@ class Loop:
 
     def _left(self) -> float | None:
         """Seconds until the run is over; None: it may take any time."""
-        if self._stopping.seconds is None:
+        if self.stopping.seconds is None:
             return None
         self.tick()
-        return max(0.0, self._stopping.seconds - self.record.wall_s)
+        return max(0.0, self.stopping.seconds - self.record.wall_s)
 
     def _outcome(self, task: Task) -> Any:
         if task.done():
             return self.workers.outcome(task)
-        limit = f"timeout={self._timeout:g} seconds"
+        limit = f"timeout={self.timeout:g} seconds"
         self.workers.abandon(task)
         return Failed(f"the render took longer than {limit}", broken=True)

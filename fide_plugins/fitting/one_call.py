@@ -21,7 +21,8 @@ from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers import default_number, workers_for
 from fide_plugins.learning.hypotheses import with_model
 from fide_plugins.options import check_known
-from fide_plugins.recording.sources import of_files, of_losses, of_models, of_weights
+from fide_plugins.recording.directory import of_files, of_losses, of_models, of_weights
+from fide_plugins.recording.record import Record
 from fide_plugins.recording.storage import is_saved
 from fide_plugins.renderers.keywords import keywords_of
 from fide_plugins.runtime.registry import fingerprint_of, own_name
@@ -218,11 +219,11 @@ def prepare(
     plan = _plan(render, optimizer, stopping, options, schedule)
     record, saved = None, None
     if out is not None:
-        record = (saved := SavedRun(out, **plan, resume=resume, command=command)).begin(optimizer)
+        saved = SavedRun(out, **plan, resume=resume, command=command)
+        record = saved.begin(optimizer)
     return Fitting(
-        optimizer, renderer, pool, stopping, watchers, record, saved, plan=plan,
-        timeout=limit, progress=progress, checkpoint_every=checkpoint_every,
-        max_failures=max_failures, schedule=schedule,
+        optimizer, renderer, pool, stopping, watchers, record or Record(), saved, plan,
+        limit, progress, checkpoint_every, max_failures, schedule,
     )  # fmt: skip
 
 

@@ -15,10 +15,7 @@ if TYPE_CHECKING:
 
 
 def as_told(optimizer: FIDE, image: Any) -> Any:
-    """What `FIDE.tell` takes for one candidate; image: as the user's function returned it.
-
-    For several views that is a list or a tuple with one image for each.
-    """
+    """What `FIDE.tell` takes for one candidate; image: as the user's function returned it."""
     if image is None:
         raise ImageError("render returned None; let it return its image")
     target: Any = optimizer.target
@@ -37,11 +34,7 @@ def as_told(optimizer: FIDE, image: Any) -> Any:
 
 
 def canonical(optimizer: FIDE, image: Any) -> Float32:
-    """Image (H, W, 3) that the optimizer makes of what the user's function returned.
-
-    Several views are packed, see `shown`.  Values outside [0, 1] are clipped without a warning:
-    `FIDE.tell` has given one, or will.
-    """
+    """Image (H, W, 3), packed, that the optimizer makes of it; clipped without a warning."""
     packed: Float32 = optimizer.evaluator.colors(as_told(optimizer, image), 1, Clipping().note)[0]
     return packed
 
@@ -64,10 +57,7 @@ def best_compared(optimizer: FIDE) -> Float32 | None:
 
 
 def shown(optimizer: FIDE, image: Float32) -> Any:
-    """Image (H, W, 3), or a list of them for several views, in the user's values.
-
-    image: as the optimizer keeps it.
-    """
+    """A packed image (H, W, 3), or a list of its views, in the user's values."""
     return optimizer.views.restored(optimizer.views.unpacked(image))
 
 

@@ -1,7 +1,6 @@
 """Processes of our own that render, each of which can be killed without harm to the others.
 
-Each worker is a `ProcessPoolExecutor` of one process, a group of its own, started afresh
-(`spawn`) without the user's script, whose functions travel by value; it ends with this process.
+Each is a `ProcessPoolExecutor` of one process, a group of its own, started without the script.
 """
 
 from __future__ import annotations
@@ -192,8 +191,6 @@ class _Process(SpawnProcess):
                 if blocks:
                     signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
-
-# -- in the worker ---------------------------------------------------------------------------------
 
 _PORTABLE: list[Portable] = []
 

@@ -59,6 +59,22 @@ class Failed:
     broken: bool = False
     killed: bool = False
     fineness: Any = None
+    params: Any = None
+    """Argument of the user's function, where this is told to the user."""
+
+    def __str__(self) -> str:
+        return "\n".join(filter(None, [self.reason, self._call, self.details]))
+
+    @property
+    def brief(self) -> str:
+        """The same with the last line of a traceback, or of a program's output, only."""
+        end = self.details.rpartition("\n")[2].strip()
+        told = self.reason if not end or end in self.reason else f"{self.reason}: {end}"
+        return "\n".join(filter(None, [told, self._call]))
+
+    @property
+    def _call(self) -> str:
+        return "" if self.names_params else f"render({self.params})"
 
     @classmethod
     def by(cls, error: BaseException) -> Failed:

@@ -17,7 +17,7 @@ from fide_plugins import encoders
 from fide_plugins.errors import FideError, OptionError
 from fide_plugins.fitting.pictures import best_compared, counting, shown, side_by_side
 from fide_plugins.recording.directory import is_of_a_run, results_in
-from fide_plugins.recording.figures import GAIN, Panel, as_png, difference, thumbnail
+from fide_plugins.recording.figures import GAIN, Panel, as_png, difference, result_figure, thumbnail
 from fide_plugins.recording.parameters import ROUGH, described, is_rough, rows
 from fide_plugins.recording.record import Record, best_so_far
 from fide_plugins.recording.storage import RunDirectoryError, is_saved, read_run, with_optimizer
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from fide_plugins.fide import FIDE
-    from fide_plugins.fitting.failures import Failure
+    from fide_plugins.fitting.rendering import Failed
     from fide_plugins.fitting.saved_run import Unsaved
     from fide_plugins.status import Status
     from fide_plugins.types import Float32, Float64, Indices, Solution
@@ -59,7 +59,7 @@ class Result:
     out: run directory; None without.
     optimizer: goes on where the fit has ended.
     cost: of all renders, in full ones, by pixels times samples; see `Fidelity`.
-    plan: three lines on how a fit with a `time` was to spend it; none without, and when resumed.
+    plan: three lines on how a fit with a `time` and a choice of sizes was to spend it; else none.
     std_renders: renders around the answer, beside the evaluations, from which `best.std` is
         computed; 0: it is rough, from samples of the search, or was read.
     value_range: values of target and images that are black and white; None: 0 and 1.
@@ -80,7 +80,7 @@ class Result:
     path: Float64
     evaluations: int
     failures: int
-    first_failure: Failure | None
+    first_failure: Failed | None
     seconds: float
     busy: float
     stopped: str
@@ -105,8 +105,6 @@ class Result:
 
         Views are side by side.  `figure.savefig(path)` writes it.
         """
-        from fide_plugins.recording.plots import result_figure
-
         return result_figure(self._panels(), self.losses, self.loss)
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -117,17 +115,31 @@ class Result:
         Raises FideError if `path` holds another run, or if the optimizer went on since; OSError.
         """
         if self.out is not None:
-            copy_run(self.out, Path(path))
+            to = Path(path)
+            if (to / "run.json").exists() or results_in(to):
+                raise RunDirectoryError(f"{to} holds a run already; name another directory")
+            to.mkdir(parents=True, exist_ok=True)
+            files = [file for file in self.out.iterdir() if is_of_a_run(file.name)]
+            for file in sorted(files, key=lambda file: file.name == "run.json"):  # it last
+                if file.is_file() and not file.is_symlink():
+                    shutil.copyfile(file, to / file.name)
         elif self.unsaved is not None:
             self.unsaved.write(path)
         else:
             raise FideError("this result has neither a run directory nor an optimizer")
 
+    @property
+    def facts(self) -> str:
+        """In one line: renders, seconds, why it ended, what failed."""
+        facts = f"{self.evaluations:,} renders in {self.seconds:.1f} s"
+        facts += f", as dear as {self.cost:,.0f} full ones" * (self.cost != self.evaluations)
+        facts += f", stopped: {self.stopped}"
+        facts += f", {self.failures:,} renders failed" * bool(self.failures)
+        facts += f", {self.clipped:,} images clipped" * bool(self.clipped)
+        rejected = f", {self.rejected or 0:.0%} of the candidates rejected by constraints"
+        return facts + rejected * bool(self.rejected)
+
     def __repr__(self) -> str:
-        failed = f", {self.failures:,} renders failed" if self.failures else ""
-        failed += f", {self.clipped:,} images clipped" if self.clipped else ""
-        if self.rejected:
-            failed += f", {self.rejected:.0%} of the candidates rejected by constraints"
         loss = "none" if self.best is None else f"{self.best.loss:.6g}"
         params = f"dim={self.path.shape[1]}"
         if isinstance(self.params, dict) and self.best is not None:
@@ -136,8 +148,7 @@ class Result:
             rough = f" ({ROUGH})" if is_rough(self.best) and "±" in text else ""
             params = cut(text, 400) + rough
         lines = [
-            f"Result(best loss {loss} after {self.evaluations:,} evaluations, "
-            f"{self.seconds:.1f} s{failed}; stopped: {self.stopped}",
+            f"Result(best loss {loss}; {self.facts}",
             f"params: {params}",
             f"solutions: {len(self.solutions)}",
             str(self.status),
@@ -159,12 +170,8 @@ class Result:
         )
         more = f"<p>... {len(table) - _MOST} more</p>" if len(table) > _MOST else ""
         more += f"<p>{ROUGH}</p>" if best is not None and is_rough(best) else ""
-        facts = f"{self.evaluations:,} renders in {self.seconds:.1f} s"
-        facts += f", as dear as {self.cost:,.0f} full ones" * (self.cost != self.evaluations)
-        facts += f", stopped: {self.stopped}"
-        facts += f", {self.failures:,} renders failed" if self.failures else ""
         return (
-            f"<div><p><b>{escape(str(self.status))}</b><br>{escape(facts)}</p>"
+            f"<div><p><b>{escape(str(self.status))}</b><br>{escape(self.facts)}</p>"
             '<div style="display:flex;flex-wrap:wrap;gap:8px;align-items:flex-end">'
             f"{''.join(map(_picture, self._panels()))}</div><table>{cells}</table>{more}</div>"
         )
@@ -260,16 +267,3 @@ def opened(
         return FIDE.load(file, encoder=encoder)
 
     return path, run, with_optimizer(path, load)
-
-
-def copy_run(source: Path, to: Path) -> None:
-    """Copy the files of a run into a folder without one.
-
-    Raises RunDirectoryError (a FileExistsError) if there is one; OSError.
-    """
-    if (to / "run.json").exists() or results_in(to):
-        raise RunDirectoryError(f"{to} holds a run already; name another directory")
-    to.mkdir(parents=True, exist_ok=True)
-    for file in sorted(source.iterdir(), key=lambda file: file.name == "run.json"):  # it last
-        if is_of_a_run(file.name) and file.is_file() and not file.is_symlink():
-            shutil.copyfile(file, to / file.name)

@@ -29,23 +29,12 @@ _CONTENTS = ("mask", "weights", "value_range")
 
 
 class SavedRun:
-    """What a fit writes, and what it reads when it is resumed; raises as `RunDirectory`."""
+    """What a fit writes, and what it reads when it is resumed; plan: as of a `RunDirectory`."""
 
-    def __init__(
-        self,
-        out: str | os.PathLike[str],
-        settings: dict[str, Any],
-        limits: dict[str, Any],
-        *,
-        resume: bool,
-        command: Sequence[str] | None,
-        sources: Mapping[str, str] | None = None,
-    ) -> None:
-        self._directory = RunDirectory(
-            out, settings, resume=resume, command=command, limits=limits, sources=sources
-        )
+    def __init__(self, out: str | os.PathLike[str], **plan: Any) -> None:
+        self._directory = RunDirectory(out, **plan)
         self.path, self.close = self._directory.path, self._directory.close
-        self._budget: int | None = limits.get("budget")
+        self._budget: int | None = plan["limits"].get("budget")
 
     def begin(self, optimizer: FIDE) -> Record | None:
         """Restore the optimizer, and write what is known before the first render.

@@ -1,13 +1,12 @@
-"""What a fit asks its renderer for next, and when renders become finer.
+"""What a fit asks its renderer for next: samples and size of pictures, and when both rise.
 
-Noise is too strong where it decides the ranks of candidates: where the standard deviation of a loss
-between two renders exceeds half of the spread of a generation's losses.  Pictures are too small
-once the loss is a fraction of the first candidates', and the search narrow or without progress.
+Samples rise where noise decides ranks, sizes where the search sees no more at the present one.
 """
 
 from __future__ import annotations
 
 import math
+import sys
 from collections import deque
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -17,8 +16,9 @@ import numpy as np
 from fide_plugins.comparing import compare_finer, compare_first_at
 from fide_plugins.errors import ImageError
 from fide_plugins.fitting.pictures import as_told
-from fide_plugins.fitting.rendering import Failed, Outcome, Rendered
-from fide_plugins.runtime.messages import warn_user
+from fide_plugins.fitting.rendering import Failed, Outcome, Rendered, Workers
+from fide_plugins.fitting.workers import gathered
+from fide_plugins.runtime.messages import duration, warn_user
 from fide_plugins.types import Float64
 from fide_plugins.validation.values import Clipping
 
@@ -118,8 +118,6 @@ class Schedule:
         """Size at which the optimizer compares; None: the target's."""
         return None if len(self.sizes) == 1 or self.sizes[k] == self._full else self.sizes[k]
 
-    # -- what the loop asks ------------------------------------------------------------------------
-
     def begin(self) -> None:
         """Compare at the first size; before anything was told."""
         if self._shown(self.k) != self._optimizer.evaluator.size:
@@ -130,19 +128,11 @@ class Schedule:
         if self._next is not None:
             after, self._next = self._next, None
             return self._rise(*after)
-        if (
-            self._again is None
-            and self._losses
-            and self._since >= self._every
-            and self._takes_samples
-        ):
+        due = self._losses and self._since >= self._every
+        if self._again is None and due and self.samples < self._most:
             self._since, self._again = 0, (self._last_told, self._losses[-1])
             return self._last_told[None]
         return None
-
-    @property
-    def _takes_samples(self) -> bool:
-        return self.samples < self._most
 
     def rise_to_finest(self) -> Float64 | None:
         """The best candidate (1, d), to be judged by the finest render; None if it was."""
@@ -171,8 +161,6 @@ class Schedule:
         self._best, self._best_at = math.inf, 0
         return x[None].copy()
 
-    # -- what comes back ---------------------------------------------------------------------------
-
     def received(self, x: Float64, outcome: Outcome) -> str:
         """What becomes of a render of x (d,): "tell", "again" for finer, or "drop"."""
         current = outcome.fineness in (None, (self.k, self.samples))
@@ -185,9 +173,13 @@ class Schedule:
             waits = self._rising is None and not self._optimizer.evaluations
             return "again" if waits else "drop"
         if self.k not in self._works:
-            outcome = self._checked(outcome)
-            if isinstance(outcome, Failed):
-                self._go_larger(outcome)
+            failed = outcome if isinstance(outcome, Failed) else self._wrong(outcome)
+            if failed is not None:
+                height, width = self.sizes[self.k]
+                self._refused = f"at {width} x {height} pixels: {failed.reason}"
+                self.k += 1
+                if self._rising is None:
+                    self.begin()
                 return "again"
             self._works.append(self.k)
         if isinstance(outcome, Failed):
@@ -195,32 +187,6 @@ class Schedule:
                 self._refused, self.k = None, 0
                 self.begin()
             return "tell"
-        self._say_what_failed()
-        if self._rising is not None:
-            start, std = self._rising
-            self._rising = None
-            compare_finer(self._optimizer, self._shown(self.k), start, std)
-        return "tell"
-
-    def _checked(self, outcome: Outcome) -> Outcome:
-        """The render, or that it has not the size that was asked."""
-        if isinstance(outcome, Failed):
-            return outcome
-        evaluator = self._optimizer.evaluator.at_size(self._shown(self.k))
-        try:
-            evaluator.colors(as_told(self._optimizer, outcome.image), 1, Clipping().note)
-        except ImageError as error:
-            return Failed.no_fit(error, outcome.image)
-        return outcome
-
-    def _go_larger(self, failed: Failed) -> None:
-        height, width = self.sizes[self.k]
-        self._refused = f"at {width} x {height} pixels: {failed.reason}"
-        self.k += 1
-        if self._rising is None:
-            self.begin()
-
-    def _say_what_failed(self) -> None:
         if self._refused is not None:
             height, width = self.sizes[self.k]
             warn_user(
@@ -228,6 +194,20 @@ class Schedule:
                 " and are used"
             )
             self._refused = None
+        if self._rising is not None:
+            start, std = self._rising
+            self._rising = None
+            compare_finer(self._optimizer, self._shown(self.k), start, std)
+        return "tell"
+
+    def _wrong(self, outcome: Rendered) -> Failed | None:
+        """What is wrong with a render that has not the size that was asked."""
+        evaluator = self._optimizer.evaluator.at_size(self._shown(self.k))
+        try:
+            evaluator.colors(as_told(self._optimizer, outcome.image), 1, Clipping().note)
+        except ImageError as error:
+            return Failed.no_fit(error, outcome.image)
+        return None
 
     def _note_pair(self, first: float, outcome: Rendered) -> None:
         evaluator = self._optimizer.evaluator
@@ -302,8 +282,6 @@ class Schedule:
         else:
             self._next = (self.k, min(self._most, _RISE * self.samples))
 
-    # -- saving ------------------------------------------------------------------------------------
-
     def state_dict(self) -> dict[str, Any]:
         """Everything that changes."""
         state = {name: getattr(self, name) for name in _NUMBERS}
@@ -329,3 +307,77 @@ _NUMBERS = (
     "k", "samples", "cost", "_count", "_since", "_told", "_best", "_best_at", "_typical", "_spread",
 )  # fmt: skip
 _ARRAYS = ("_halves", "_spreads", "_losses")
+
+
+_CHEAPER = 0.7  # of the time of the next size: a smaller one that takes more is left out
+_OWN = 0.001  # seconds that the optimizer takes for a candidate
+_TO_LEARN = 100_000  # renders
+
+
+class Planner:
+    """Measures renders and makes the plan of a fit of so many seconds.
+
+    lines: of the plan, three; none before it is made.
+    """
+
+    def __init__(self, seconds: float, number: int) -> None:
+        self.lines: list[str] = []
+        self._seconds, self._workers = seconds, max(1, number)
+
+    def measure(
+        self, optimizer: FIDE, schedule: Schedule, workers: Workers, timeout: float | None
+    ) -> None:
+        """Render where the search begins at each size, and leave out those that save no time.
+
+        workers: without a schedule.  Each render counts as cost; where one fails nothing is known.
+        """
+        x = optimizer.state.search.mean
+        asked = [0, *range(len(schedule.sizes))]  # the first loads what the renderer needs
+        took: dict[int, float] = {}
+        for k in asked:
+            point: Any = [(x, schedule.keywords(k, schedule.samples, seed=k))]
+            for outcome in gathered(workers, point, timeout):
+                schedule.pay(k, schedule.samples)
+                if isinstance(outcome, Rendered):
+                    took[k] = outcome.seconds
+        if len(took) < len(schedule.sizes):
+            return
+        kept = [len(schedule.sizes) - 1]
+        for k in reversed(range(len(schedule.sizes) - 1)):
+            if took[k] <= _CHEAPER * took[kept[0]]:
+                kept.insert(0, k)
+        sizes = [_pixels(schedule.sizes[k]) + f" ({duration(took[k])})" for k in kept]
+        out = [_pixels(schedule.sizes[k]) for k in took if k not in kept]
+        first = f"pictures of {', '.join(sizes)} pixels"
+        if out:
+            first += f"; not {', '.join(out)}, which save no time"
+        schedule.keep(kept)
+        self._make(first, took[kept[0]], took[kept[-1]])
+
+    def show(self, wanted: bool) -> None:
+        """Print the plan to standard error, where that is wanted."""
+        if wanted and sys.stderr is not None:
+            lines = [f"plan: {line}\n" for line in self.lines]
+            print(
+                "\r\x1b[K" if sys.stderr.isatty() else "", *lines, sep="", end="", file=sys.stderr
+            )
+
+    def _make(self, first: str, least: float, most: float) -> None:
+        coarse, fine = (self._workers / (one + _OWN * self._workers) for one in (least, most))
+        share = SHARE if least < most else 0.0
+        renders = self._seconds * (share * coarse + (1 - share) * fine)
+        second = (
+            f"about {renders:,.0f} renders in {duration(self._seconds)}, {self._workers} at a time"
+        )
+        if share:
+            second += f"; of full size after {duration(share * self._seconds)} at the latest"
+        learning = _TO_LEARN * least / self._workers
+        pictures = math.ceil(learning / self._seconds) + 1
+        third = f"to learn the renderer first takes about {duration(learning)}: for {pictures}"
+        self.lines = [first, second, f"{third} pictures of it or more"]
+
+
+def _pixels(size: Any) -> str:
+    """Width and height; of views of several sizes, of each."""
+    several = [size] if isinstance(size, tuple) else size
+    return ", ".join(f"{width} x {height}" for height, width in several)

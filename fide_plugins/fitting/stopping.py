@@ -1,7 +1,6 @@
 """When a fit is over; it goes on with ``resume=True`` and a larger number.
 
-`until="solved"`: what is left is nothing that an eye sees, or noise of the target as far as the
-search can tell; "stalled": the same, or nothing more is to be expected; "budget": none of these.
+`until`: "solved", or only noise of the target is left; "stalled": or no progress; "budget".
 """
 
 from __future__ import annotations
@@ -83,13 +82,17 @@ class Stopping:
             return "stop_at"
         if self.until == "budget" or not (improved or len(losses) % optimizer.popsize == 0):
             return None
-        if _is_solved(optimizer):
+        state = optimizer.state
+        image = None if state.best is None else state.best.solution.image
+        if image is not None and is_solved(optimizer.views, image):
             return "solved"
         if len(losses) % optimizer.popsize:
             return None
         # to look for noise takes time, so it is not done while the loss still falls
         converged = _is_converged(losses, best, optimizer)
-        if not converged and (self.until == "solved" or _has_fallen(optimizer)):
+        last = None if state.best is None else state.best.solution.evaluation
+        fallen = last is not None and state.evaluations - last <= optimizer.popsize
+        if not converged and (self.until == "solved" or fallen):
             return None
         code = optimizer.status.code
         if converged and code == "noise":
@@ -109,19 +112,6 @@ class Stopping:
         """The rules, for a file."""
         found = {"budget": self.budget, "time": self.seconds, "stop_at": self.stop_at}
         return {k: v for k, v in found.items() if v is not None} | {"until": self.until}
-
-
-def _is_solved(optimizer: FIDE) -> bool:
-    best = optimizer.state.best
-    image = None if best is None else best.solution.image
-    return image is not None and is_solved(optimizer.views, image)
-
-
-def _has_fallen(optimizer: FIDE) -> bool:
-    state = optimizer.state
-    if state.best is None:
-        return False
-    return state.evaluations - state.best.solution.evaluation <= optimizer.popsize
 
 
 def _is_converged(losses: Sequence[float], best: float, optimizer: FIDE) -> bool:

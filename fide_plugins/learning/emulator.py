@@ -11,12 +11,14 @@ from torch.nn import functional as F
 
 from fide_plugins.learning.networks import (
     WAVES,
+    Blocking,
     Trainable,
     attend,
     fourier,
     linear,
     mean_and_variance,
     split,
+    waves_of,
 )
 
 _WIDTH, _HEADS = 96, 4
@@ -52,11 +54,7 @@ class Emulator(Trainable):
     variance: Tensor
 
     def __init__(
-        self,
-        size: tuple[int, int],
-        periodic: Sequence[bool],
-        blocks: Sequence[Sequence[int]],
-        seed: int = 0,
+        self, size: tuple[int, int], periodic: Sequence[bool], blocks: Blocking, seed: int = 0
     ) -> None:
         super().__init__()
         self.size, self.dim = size, len(periodic)
@@ -66,7 +64,8 @@ class Emulator(Trainable):
         self.register_buffer("blocks", index, persistent=False)
         self.register_buffer("others", rest, persistent=False)
         self.register_buffer("periodic", wraps, persistent=False)
-        self.register_buffer("pixels", _pixels(size), persistent=False)
+        waves = waves_of(*size, max(size), max(size))  # the longer side is 1
+        self.register_buffer("pixels", waves, persistent=False)
         self.register_buffer("mean", torch.zeros(size[0] * size[1], 3, dtype=torch.float32))
         self.register_buffer("variance", torch.ones((), dtype=torch.float32))
         with torch.random.fork_rng(devices=[]):  # the global generator stays as it was
@@ -163,12 +162,6 @@ def _perceptron(inputs: int, outputs: int) -> nn.Sequential:
         linear(inputs, _WIDTH), nn.ReLU(), linear(_WIDTH, _WIDTH), nn.ReLU(),
         linear(_WIDTH, outputs),
     )  # fmt: skip
-
-
-def _pixels(size: tuple[int, int]) -> Tensor:
-    """Waves (H * W, 18) of the middle of each pixel, row by row; the longer side is 1."""
-    y, x = ((torch.arange(side, dtype=torch.float32) + 0.5) / max(size) for side in size)
-    return fourier(torch.cartesian_prod(y, x), torch.tensor([False, False])).flatten(1)
 
 
 def _colors(images: Tensor, places: Tensor) -> Tensor:

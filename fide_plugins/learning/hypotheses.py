@@ -42,12 +42,10 @@ def posterior_of(
 ) -> Posterior | None:
     """Draw hypotheses of a target's parameters, and refine some where there is a good emulator.
 
-    It is None without a model, and, with a warning, for a picture unlike all renders.
+    None without a model, and, with a warning, for a picture unlike all renders.  Raises OptionError
+    for a model of another space or for several views, ImageError for another aspect.
 
     target: (H, W, 3), or a list with it.  What a mask hides of it is seen, too.
-
-    Raises OptionError for a model of another space or for several views, ImageError for another
-    aspect.
     """
     if learned is None:
         return None
@@ -92,10 +90,8 @@ def with_model(
     resumed: whether the search goes on from a saved state, which has its hypotheses: the model is
         checked, and left out; a warning where its file is gone.
 
-    Warns if the model is of another renderer, but where both state the same version.
-
-    Raises OptionError where they state different versions, or `render` one that is no text; OSError
-    or CheckpointError for a file that is no model.
+    Warns if the model is of another renderer; raises OptionError where they state different
+    versions, OSError or CheckpointError for a file that is no model.
     """
     found, learned = dict(options), options.get("learned")
     if learned is None:

@@ -118,10 +118,6 @@ class Familiarity:
         squares = np.einsum("nf,fg,ng->n", centered, self.precision, centered)
         return np.asarray(np.sqrt(np.maximum(squares, 0.0)), np.float64)
 
-    def knows(self, features: Float64) -> bool:
-        """Whether features (F,) are like those of renders."""
-        return bool(self.distances(features[None])[0] <= self.threshold)
-
 
 def _across(training: Float64) -> Float64:
     """Distance (n,) of each of n renders from those of the other folds."""
@@ -257,9 +253,7 @@ class Report:
     def __str__(self) -> str:
         judges = self.held_out - self.fitted  # held-out renders that did not choose the scale
         pictures = min(judges, _PICTURES)
-        near, nearly, inside = (
-            self._share(share, pictures) for share in (*self.within, self.coverage)
-        )
+        near, nearly, inside = (_share(p, pictures) for p in (*self.within, self.coverage))
         calibrated = f"not calibrated: that takes {ENOUGH * HELD_OUT:,} renders"
         if self.fitted:
             calibrated = f"calibrated: standard deviations times {self.scale:.2f}"
@@ -288,10 +282,11 @@ class Report:
         """Whether there is an emulator that is used: it explains nine tenths, as it is printed."""
         return round(self.emulated or 0.0, 3) >= _EXPLAINED
 
-    def _share(self, share: float, n: int) -> str:
-        """Share of n pictures with its standard error, as if there were one more of either kind."""
-        near = (share * n + 1) / (n + 2)
-        return f"{share:.0%} +- {math.sqrt(near * (1 - near) / max(n, 1)):.0%}"
+
+def _share(share: float, n: int) -> str:
+    """Share of n pictures with its standard error, as if there were one more of either kind."""
+    near = (share * n + 1) / (n + 2)
+    return f"{share:.0%} +- {math.sqrt(near * (1 - near) / max(n, 1)):.0%}"
 
 
 def against_prior(nll: float) -> str:
@@ -302,10 +297,7 @@ def against_prior(nll: float) -> str:
 def matched(
     row: Float64, x: Float64, periodic: Sequence[bool], blocks: Sequence[Sequence[int]]
 ) -> Float64:
-    """Return the point `row` (d,) with its blocks in the order in which they are nearest x (d,).
-
-    That is the order with the least sum of differences of all parameters.
-    """
+    """The point `row` (d,) with its blocks in the order with the least sum of differences to x."""
     if not len(blocks):
         return row
     index = np.array(blocks, np.intp)  # (n, L)

@@ -43,8 +43,6 @@ from fide_plugins.types import Float64
 from fide_plugins.validation.images import as_target
 from fide_plugins.validation.points import as_points, torch_seed, whole_number
 
-__all__ = ["Model"]
-
 _KIND = "learned model"
 _SCHEMA: Schema = {
     "dim": whole(1, 2**20),
@@ -168,17 +166,14 @@ class Model:
 
     def knows(self, picture: object) -> bool:
         """Whether the picture is like those that were learned, see `judging`."""
-        return self.familiarity.knows(self._vector(picture))
+        return self.unfamiliarity(picture) <= 1
 
     def unfamiliarity(self, picture: object) -> float:
         """Distance of the picture from renders, in units of what is still familiar."""
-        distance = self.familiarity.distances(self._vector(picture)[None])[0]
+        with _full_precision():
+            features = self.network.vectors(self._input(picture)).numpy().astype(np.float64)
+        distance = self.familiarity.distances(features)[0]
         return float(distance / max(self.familiarity.threshold, 1e-300))
-
-    @_full_precision()
-    def _vector(self, picture: object) -> Float64:
-        vector: Float64 = self.network.vectors(self._input(picture))[0].numpy().astype(np.float64)
-        return vector
 
     def _input(self, picture: object) -> Tensor:
         """Return the picture as the network takes it; ImageError for another aspect."""
@@ -194,7 +189,7 @@ class Model:
     def check_space(self, space: Space | int) -> None:
         """Raise OptionError, naming the difference, unless the model has learned this space.
 
-        A number of parameters fits a model of so many, named or not.  Units are for people.
+        A number of parameters fits a model of so many, named or not; units may differ.
         """
         dim = space.dim if isinstance(space, Space) else space
         if dim != self.dim:
@@ -205,12 +200,12 @@ class Model:
         if not isinstance(space, Space) or self.space is None:
             return
         old, new = _without_units(self.space), _without_units(space)
-        why = "the parameters come in another order"
-        for name in [*new, *old]:
-            if old.get(name) != new.get(name):
-                there, here = old.get(name, "missing"), new.get(name, "missing")
-                why = f"{name!r} is {there} in the model and {here} here"
         if list(old.items()) != list(new.items()):
+            why = "the parameters come in another order"
+            for name in [*new, *old]:
+                if old.get(name) != new.get(name):
+                    there, here = old.get(name, "missing"), new.get(name, "missing")
+                    why = f"{name!r} is {there} in the model and {here} here"
             raise OptionError(f"the model of {self.renderer!r} is of another space: {why}")
 
     # -- files -------------------------------------------------------------------------------------

@@ -262,6 +262,7 @@ class Autoregressive(nn.Module):
     """
 
     periodic: Tensor
+    before: Tensor
 
     def __init__(self, width: int, periodic: Tensor, components: int = 6, hidden: int = 96) -> None:
         super().__init__()
@@ -278,8 +279,6 @@ class Autoregressive(nn.Module):
         self.out_bias = nn.Parameter(
             0.5 * torch.randn(d, 1, components * NUMBERS, dtype=torch.float32)
         )
-
-    before: Tensor
 
     def _of(self, vector: Tensor, u: Tensor, scale: float) -> Components:
         """Components (B, d, K), those of u_i given features and the parameters before i."""
@@ -353,7 +352,7 @@ class Blocks(nn.Module):
 
     The blocks are a set (Carion et al. 2020, arXiv:2005.12872).
 
-    channels, grid: of the encoder's map, grid its height and width.  width: of its vector.
+    encoder: of the map.  width: of its vector.
     periodic: (d,) bool.  blocks: (n, L), axes of each block.
     """
 
@@ -362,12 +361,7 @@ class Blocks(nn.Module):
     waves: Tensor
 
     def __init__(
-        self,
-        channels: int,
-        grid: tuple[int, int],
-        width: int,
-        periodic: Tensor,
-        blocks: Sequence[Sequence[int]],
+        self, encoder: Encoder, width: int, periodic: Tensor, blocks: Sequence[Sequence[int]]
     ) -> None:
         super().__init__()
         index = torch.tensor([list(block) for block in blocks])  # (n, L)
@@ -377,8 +371,8 @@ class Blocks(nn.Module):
         self.others, self.dim = others, len(periodic)
         self.rest = Autoregressive(width, periodic[others]) if others else None
         n, length = index.shape
-        self.place_in = linear(channels, _SET_WIDTH)
-        self.register_buffer("waves", _waves(grid), persistent=False)
+        self.place_in = linear(encoder.channels, _SET_WIDTH)
+        self.register_buffer("waves", waves_of(*encoder.grid, *encoder.grid), persistent=False)
         self.position = linear(self.waves.shape[1], _SET_WIDTH)
         self.query = nn.Parameter(torch.randn(n, _SET_WIDTH, dtype=torch.float32))
         self.layers = nn.ModuleList(_SetLayer() for _ in range(_SET_LAYERS))
@@ -456,11 +450,11 @@ class _SetAttention(nn.Module):
         return out
 
 
-def _waves(grid: tuple[int, int]) -> Tensor:
-    """Waves (h * w, 18) of the middle of each place of a map of h x w places, row by row."""
-    y, x = ((torch.arange(side, dtype=torch.float32) + 0.5) / side for side in grid)
-    middles = torch.cartesian_prod(y, x)  # (h * w, 2)
-    return fourier(middles, torch.tensor([False, False])).flatten(1)
+def waves_of(h: int, w: int, height: float, width: float) -> Tensor:
+    """Waves (h * w, 18) of the middles of h x w places of size 1 in that height and width."""
+    y = (torch.arange(h, dtype=torch.float32) + 0.5) / height
+    x = (torch.arange(w, dtype=torch.float32) + 0.5) / width
+    return fourier(torch.cartesian_prod(y, x), torch.tensor([False, False])).flatten(1)
 
 
 def _matching(gain: Tensor) -> Tensor:
@@ -474,6 +468,7 @@ def _matching(gain: Tensor) -> Tensor:
 
 
 _FEATURES = 256
+Blocking = Sequence[Sequence[int]]
 
 
 class Network(Trainable):
@@ -487,11 +482,7 @@ class Network(Trainable):
     """
 
     def __init__(
-        self,
-        size: tuple[int, int],
-        periodic: Sequence[bool],
-        blocks: Sequence[Sequence[int]] = (),
-        seed: int = 0,
+        self, size: tuple[int, int], periodic: Sequence[bool], blocks: Blocking = (), seed: int = 0
     ) -> None:
         super().__init__()
         self.size, self.dim, self.scale = size, len(periodic), 1.0
@@ -502,7 +493,7 @@ class Network(Trainable):
             self.encoder = Encoder(size, _FEATURES)
             wraps, encoder = torch.tensor(periodic), self.encoder
             self.head: Any = (
-                Blocks(encoder.channels, encoder.grid, _FEATURES, wraps, blocks)
+                Blocks(encoder, _FEATURES, wraps, blocks)
                 if len(blocks)
                 else Autoregressive(_FEATURES, wraps)
             )

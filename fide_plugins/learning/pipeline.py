@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from fide_plugins.errors import DeviceMemoryError, OptionError, UnknownNameError
+from fide_plugins.errors import DeviceMemoryError, OptionError
 from fide_plugins.learning.augmentation import AUGMENT, check_installed
 from fide_plugins.learning.clutter import Clutter, clutter_of
 from fide_plugins.learning.emulator import Emulator
@@ -27,7 +27,6 @@ from fide_plugins.learning.renders import (
     Pixels,
     RenderStore,
     as_renderer,
-    check_images,
     folder_of,
     small_size,
 )
@@ -38,7 +37,7 @@ from fide_plugins.runtime.registry import fingerprint_of
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.space import Space
 from fide_plugins.types import Float64
-from fide_plugins.validation.options import seconds_of
+from fide_plugins.validation.options import one_of, seconds_of
 from fide_plugins.validation.points import torch_seed, whole_number
 
 FEWEST = 100
@@ -71,12 +70,8 @@ def blocks_of(renderer: BatchRenderer, groups: Sequence[Sequence[int]] | None) -
 
 def has_emulator(emulator: bool | None, blocks: Sequence[Sequence[int]], clutter: bool) -> bool:
     """Whether a learned renderer is trained; None: where there are exchangeable blocks."""
-    if not (emulator is None or isinstance(emulator, bool)):
-        raise OptionError(f"emulator is True, False or None, not {emulator!r}")
     if emulator and not blocks:
-        raise OptionError(
-            "an emulator needs exchangeable blocks: give groups, or leave out emulator"
-        )
+        raise OptionError("an emulator needs exchangeable blocks: give groups")
     if emulator and clutter:
         raise OptionError("an emulator imitates renders without clutter: leave out one of the two")
     return bool(blocks) and not clutter if emulator is None else emulator
@@ -124,43 +119,37 @@ class _Plan:
     emulates: bool
     clutter: Clutter | None
 
-    @property
-    def settings(self) -> dict[str, Any]:
-        """What the renders are of."""
-        of = self.renderer
-        return {
-            **({"coverage": True} if of.coverage else {}),
-            "dim": of.dim, "size": list(self.size), "seed": self.seed, "renderer": of.name,
-            "version": of.version, "space": None if of.space is None else of.space.to_dict(),
-        }  # fmt: skip
-
     def model(self, folder: Path) -> Model:
         """Render, train and judge."""
         x, images, failed = self._renders(folder)
-        with _enough_memory(self.device):
+        # the caller may be in inference mode, or in `no_grad`
+        with _enough_memory(self.device), torch.inference_mode(False), torch.enable_grad():
             network, density = self._density(x, images, folder)
             emulator, emulated = self._emulator(x, images, folder)
-        space = self.renderer.space
-        numbered = [f"x[{i}]" for i in range(self.renderer.dim)]
+        of, space = self.renderer, self.renderer.space
+        numbered = [f"x[{i}]" for i in range(of.dim)]
         names = [one for one, axes in space.axes.items() for _ in axes] if space else numbered
         report = report_of(
             network, density, names, failed=failed, emulated=emulated,
             on_picture=lambda *at: self.on_progress(LearnProgress("judge", *at)),
         )  # fmt: skip
         return Model(
-            network=network, space=self.renderer.space, shape=self.shape,
-            renderer=self.renderer.name, version=self.renderer.version,
+            network=network, space=space, shape=self.shape, renderer=of.name, version=of.version,
             familiarity=familiarity_of(network, density), report=report,
-            fingerprint=fingerprint_of(self.renderer.source), emulator=emulator,
+            fingerprint=fingerprint_of(of.source), emulator=emulator,
         )  # fmt: skip
 
     def _renders(self, folder: Path) -> tuple[Float64, Pixels, int]:
         """Parameters (n, d) and images (n, H, W, 3), and how many renders have failed."""
-        store = RenderStore(folder, self.settings, fingerprint_of(self.renderer.source))
-        check_images(store, self.renderer, more=bool(store.missing(self.renders)))
+        of = self.renderer
+        settings = {
+            **({"coverage": True} if of.coverage else {}),
+            "dim": of.dim, "size": list(self.size), "seed": self.seed, "renderer": of.name,
+            "version": of.version, "space": None if of.space is None else of.space.to_dict(),
+        }  # fmt: skip
+        store = RenderStore(folder, settings, fingerprint_of(of.source))
         fill(
-            store, self.renderer, self.renders, workers=self.workers,
-            seconds=self._left(_RENDERING),
+            store, of, self.renders, workers=self.workers, seconds=self._left(_RENDERING),
             on_progress=lambda n: self.on_progress(LearnProgress("render", n, self.renders)),
         )  # fmt: skip
         x, images = store.read(self.renders)
@@ -173,8 +162,6 @@ class _Plan:
             raise all_equal(self.renderer.name, len(images))
         return x, images, sum(failed.values())
 
-    @torch.inference_mode(False)  # the caller may be in it, or in `no_grad`
-    @torch.enable_grad()
     def _density(self, x: Float64, images: Pixels, folder: Path) -> tuple[Network, Training]:
         """Trained network, and its training."""
         network = Network(self.size, self.renderer.periodic, self.blocks, self.seed)
@@ -187,8 +174,6 @@ class _Plan:
         network.to("cpu").eval()
         return network, training
 
-    @torch.inference_mode(False)
-    @torch.enable_grad()
     def _emulator(
         self, x: Float64, images: Pixels, folder: Path
     ) -> tuple[Emulator | None, float | None]:
@@ -202,10 +187,7 @@ class _Plan:
         )  # fmt: skip
         training.run_from(folder / "emulator", self._plan_of(training), self._say("emulate"))
         if not math.isfinite(training.best):
-            warn_user(
-                "the training of the emulator has diverged, and the model has none: learn with "
-                "another seed, or with emulator=False"
-            )
+            warn_user("the training of the emulator has diverged: learn with another seed")
             return None, None
         return emulator.to("cpu").eval(), 1 - training.best
 
@@ -319,9 +301,8 @@ def learn(
     Raises
     ------
     OptionError, ImageError, DeviceError
-        all ValueErrors: an argument is not what it must be, this machine has no such device, or the
-        folder of renders holds others: their settings differ, or the renderer's images do, see
-        `learning.renders`; or another call is learning the same file.
+        all ValueErrors: an argument is not what it must be, this machine has no such device, the
+        folder of renders holds others, or another call is learning the same file.
     CheckpointError
         a ValueError: a shard of renders or a training that was interrupted is damaged.
     RenderError
@@ -381,8 +362,6 @@ def _check(
         raise OptionError(f"size is 16 to 256 pixels, not {size}")
     whole_number("passes", passes, 1)
     whole_number("workers", workers, 0)
-    if augment not in AUGMENT:
-        raise UnknownNameError.of("augment", augment, AUGMENT)
-    check_installed(str(augment))
+    check_installed(one_of(*AUGMENT)("augment", augment))
     if not (on_progress is None or callable(on_progress)):
         raise OptionError(f"on_progress must be a function of a LearnProgress, not {on_progress!r}")

@@ -102,7 +102,7 @@ def fill(
     stop = np.inf if seconds is None else time.monotonic() + seconds
     failed: dict[int, int] = {}  # of each shard
     why, equal, first = "", True, np.empty(0, np.uint8)
-    pool = pool_for(renderer, store.size, workers)
+    pool = pool_for(renderer, store.shape[:2], workers)
     try:
         for shard, images in _rendered(store, renderer.name, missing, stop, pool):
             store.write(shard, images)

@@ -1,4 +1,4 @@
-"""Renders of random parameters: what makes them, where they are kept, whether they can be used."""
+"""Renders of random parameters: what makes them, and where they are kept."""
 
 from __future__ import annotations
 
@@ -25,8 +25,9 @@ from fide_plugins.runtime.files import (
     open_regular,
     remove_leftovers,
 )
+from fide_plugins.runtime.messages import warn_user
 from fide_plugins.runtime.opencv import cv2
-from fide_plugins.runtime.registry import changed, fingerprint_of, own_name, version_of
+from fide_plugins.runtime.registry import changed, own_name, version_of
 from fide_plugins.space import Space
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.images import alpha_of, as_target
@@ -72,10 +73,9 @@ class BatchRenderer:
     def small(self, X: Float64, seeds: Sequence[int], size: tuple[int, int]) -> list[Small]:
         """Images of the points X (n, d), resized to (height, width); of one that failed a `Failed`.
 
-        seeds: (n,), of the noise of each, for a source whose `render` takes them.
-        A batch that fails as a whole is rendered point by point.  Then, and for a function or a
-        task whose `piece` is 1, each image is made small before the next one is rendered: full ones
-        take much memory, and a renderer may draw all of them into one array.
+        seeds: (n,), of the noise of each, for a source whose `render` takes them.  Unless a batch
+        can be rendered as a whole, each image is made small before the next one: full ones take
+        much memory, and a renderer may draw all of them into one array.
         """
         if hasattr(self.source, "render") and getattr(self.source, "piece", None) != 1:
             batch = attempt(
@@ -100,10 +100,10 @@ class BatchRenderer:
         return self.source.render(X.copy())
 
     def first_shape(self) -> tuple[tuple[int, int], bool]:
-        """Height and width of the image of the middle of the cube, and whether it has a coverage.
+        """Height and width of an image, and whether it has a coverage.
 
-        Where that one fails, of the image of one of a few other points.  Raises RenderError if the
-        renderer fails for all of them, ImageError if it gives no image.
+        It is that of the middle of the cube, or where that fails of one of a few other points.
+        Raises RenderError if all of them fail, ImageError if there is no image.
         """
         others = np.random.default_rng(0).random((_OTHERS, self.dim))
         errors: list[Exception] = []
@@ -254,21 +254,23 @@ class RenderStore:
 
     folder: made if it is missing.
     settings: plain values that define the renders: "dim", "size", "seed" and more.
-    fingerprint: of the renderer, see `runtime.registry`; that of an earlier folder stays.
+    fingerprint: of the renderer, see `runtime.registry`.
 
-    Raises OptionError if the folder holds other renders, naming the difference; OSError if it
-    cannot be written, or has lost its settings.
+    Warns if that has changed, and no version says which images these are.  Raises OptionError if
+    the folder holds other renders, naming the difference; OSError if it cannot be written, or has
+    lost its settings.
     """
 
     def __init__(
         self, folder: Path, settings: Mapping[str, Any], fingerprint: str | None = None
     ) -> None:
-        self.folder, self.settings, self.fingerprint = folder, dict(settings), fingerprint
+        self.folder, self.settings = folder, dict(settings)
+        self._written = {**settings, "fingerprint": fingerprint}
         folder.mkdir(parents=True, exist_ok=True)
         self._bound = bool(self.shards)  # without any, settings bind nobody
         if self._bound:
             there = checkpoint.read(folder / "settings", _KIND)
-            self.fingerprint = there.pop("fingerprint", None)
+            before = there.pop("fingerprint", None)
             differences = [
                 f"its {name} is {there.get(name)!r}, not {self.settings.get(name)!r}"
                 for name in sorted({*there, *self.settings})
@@ -279,23 +281,23 @@ class RenderStore:
                     f"{folder} holds other renders: {'; '.join(differences)}; name another file, "
                     "or delete the folder"
                 )
+            if changed(before, fingerprint) and settings.get("version") is None:
+                warn_user(
+                    f"the renderer was changed since the renders in {folder} were made; delete "
+                    "that folder if its images are others now"
+                )
+            if before != fingerprint:
+                self._bind()
 
-    def bind(self, fingerprint: str | None) -> None:
-        """Record the fingerprint of the renderer whose images these are; or OSError."""
-        state = {**self.settings, "fingerprint": fingerprint}
-        checkpoint.write(self.folder / "settings", _KIND, state)
-        self.fingerprint, self._bound = fingerprint, True
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Height and width of the images."""
-        height, width = self.settings["size"]
-        return height, width
+    def _bind(self) -> None:
+        checkpoint.write(self.folder / "settings", _KIND, self._written)
+        self._bound = True
 
     @property
     def shape(self) -> tuple[int, int, int]:
         """Of an image: 4 channels where it has a coverage, see `covered`."""
-        return *self.size, 4 if self.settings.get("coverage") else 3
+        height, width = self.settings["size"]
+        return height, width, 4 if self.settings.get("coverage") else 3
 
     @property
     def shards(self) -> list[int]:
@@ -315,14 +317,14 @@ class RenderStore:
 
     def missing(self, renders: int) -> list[int]:
         """Numbers of the shards that are not there yet, for so many renders."""
-        return [i for i in range(-(-renders // SHARD)) if not self._path(i).exists()]
+        return sorted({*range(-(-renders // SHARD))} - {*self.shards})
 
     def write(self, shard: int, images: Sequence[Small]) -> None:
         """Write a shard without the renders that have failed."""
         good = [i for i, image in enumerate(images) if not isinstance(image, Failed)]
         kept = np.array([images[i] for i in good], np.uint8).reshape(len(good), *self.shape)
         if not self._bound:
-            self.bind(self.fingerprint)
+            self._bind()
         with atomic_writer(self._path(shard)) as file:
             np.savez(file, x=self.parameters(shard)[good], images=kept)
 
@@ -332,10 +334,7 @@ class RenderStore:
             self._path(shard).unlink(missing_ok=True)
 
     def failed(self, renders: int) -> dict[int, int]:
-        """How many renders have failed, in whatever call, of each shard where some have.
-
-        Raises CheckpointError for a shard that is damaged.
-        """
+        """How many renders have failed of each shard where some have; raises as `read`."""
         found = {i: SHARD - len(self._read(i)[0]) for i in self._present(renders)}
         return {i: number for i, number in found.items() if number}
 
@@ -354,25 +353,8 @@ class RenderStore:
             n += len(some)
         return x[: min(n, renders)], images[: min(n, renders)]
 
-    def examples(self, most: int) -> tuple[Float64, list[int], Pixels]:
-        """Points (n, d), seeds of the noise (n,) and images (n, H, W, 3) of some renders.
-
-        They come from shards that are far apart; fewer than `most` where shards have lost renders.
-        """
-        shards, points, seeds, found = self.shards, [], [], []
-        for k in range(most if shards else 0):
-            shard = shards[k * len(shards) // most]
-            x, images = self._read(shard)
-            if len(x):
-                row = k * len(x) // most
-                drawn = np.abs(self.parameters(shard) - x[row]).max(axis=1).argmin()
-                points.append(x[row])
-                seeds.append(self.noise_seeds(shard)[drawn])
-                found.append(images[row])
-        return np.array(points), seeds, np.array(found)
-
     def _present(self, renders: int) -> list[int]:
-        return [i for i in range(-(-renders // SHARD)) if self._path(i).exists()]
+        return [i for i in self.shards if i * SHARD < renders]
 
     def _read(self, shard: int) -> tuple[Float64, Pixels]:
         path = self._path(shard)
@@ -393,11 +375,9 @@ class RenderStore:
 
 @contextmanager
 def folder_of(out: str | os.PathLike[str] | None) -> Iterator[Path]:
-    """Folder of the renders that a model is learned from: beside its file `out`.
+    """Folder of the renders that a model is learned from, locked: beside its file `out`.
 
     It is a temporary one, which is removed, where nothing is kept (None).
-
-    It is locked, for two calls that write there would remove each other's temporary files.
 
     Raises OSError where the file cannot be written, OptionError where another call has the folder.
     """
@@ -418,71 +398,3 @@ def folder_of(out: str | os.PathLike[str] | None) -> Iterator[Path]:
             )
         remove_leftovers(folder)  # of nobody who still writes
         yield folder
-
-
-# -- the same renderer -----------------------------------------------------------------------------
-
-
-_POINTS = 8  # that are rendered again
-_SEED = 2**80  # between the seeds of noise of those renders
-_ROUNDING = 1  # of 255: other processors round otherwise
-_FLIPPED = 1e-3  # of all values: without antialiasing, rounding puts an edge into the next pixel
-_NOISY = 3.0  # times the noise: by chance 1 of 500 checks exceeds it where noise is an exposure
-_COARSE = 4  # places along a side that are compared: noise of single pixels hides little there
-
-
-def check_images(store: RenderStore, renderer: BatchRenderer, more: bool) -> None:
-    """Raise OptionError if the renderer's images are no longer those of a store.
-
-    A model that learns images of two renderers learns neither.  So some renders that are there are
-    rendered again, which also notices what no fingerprint of a source knows: what it imports, the
-    files it reads, the version of a program.
-
-    more: whether the store's images will be learned together with new ones.  Without, nothing is
-        rendered unless the source of the renderer was changed and no version vouches for it.
-
-    Not noticed is what changes less than a thousandth of all values, such as a small object, or
-    less than the noise.  Raises RenderError if most of these renders fail.
-    """
-    now, vouched = fingerprint_of(renderer.source), store.settings.get("version") is not None
-    if more or (not vouched and changed(store.fingerprint, now)):
-        x, seeds, images = store.examples(_POINTS)
-        if len(x):
-            _compare(store, renderer, x, seeds, images)
-            if now is not None and now != store.fingerprint:
-                store.bind(now)
-
-
-def _compare(
-    store: RenderStore, renderer: BatchRenderer, x: Float64, seeds: Sequence[int], images: Pixels
-) -> None:
-    """Raise OptionError if images (n, H, W, 3) of points (n, d) are not those of the renderer."""
-    again = renderer.small(x, seeds, store.size)
-    there = [i for i, image in enumerate(again) if not isinstance(image, Failed)]
-    if 2 * len(there) < len(x):
-        why = next(image.reason for image in again if isinstance(image, Failed))
-        raise RenderError(
-            f"{renderer.name} failed for most parameters that were rendered again, of which "
-            f"{store.folder} has images; mend the renderer, or delete the folder if it is of "
-            f"another one: {why}"
-        )
-    old, new = images[there].astype(np.float64), np.array([again[i] for i in there], np.float64)
-    if (np.abs(new - old) > _ROUNDING).mean() <= _FLIPPED:
-        return
-    others = renderer.small(x[there], [seeds[i] + _SEED for i in there], store.size)
-    both = [i for i, image in enumerate(others) if not isinstance(image, Failed)]
-    other = np.array([others[i] for i in both], np.float64).reshape(len(both), *store.shape)
-    difference, noise = _apart(old, new), _apart(new[both], other)
-    if difference > _NOISY * noise:
-        raise OptionError(
-            f"the renderer's images are not those in {store.folder}: they differ by "
-            f"{difference:.2g} of 255 on average, and its noise is {noise:.2g}; delete the "
-            "folder, or learn into another file"
-        )
-
-
-def _apart(some: Float64, others: Float64) -> float:
-    """Mean difference of images (n, H, W, 3), in means of neighboring pixels."""
-    size = (min(_COARSE, some.shape[1]), min(_COARSE, some.shape[2]))
-    changes = [resized(change.astype(np.float32), size) for change in some - others]
-    return float(np.abs(changes).mean()) if len(changes) else 0.0

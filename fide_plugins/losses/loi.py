@@ -27,8 +27,6 @@ from fide_plugins.losses.base import LossOfTarget
 from fide_plugins.losses.scales import gaussian_means, planes, resample, samples_at
 from fide_plugins.types import Float32
 
-__all__ = ["LocallyOrderlessLoss"]
-
 # Extents alpha of each spatial scale sigma, both relative to sqrt(H W).
 SCALES = {0.025: (0.03, 0.1, 0.3), 0.1: (0.3,)}
 TONAL = 1 / 8  # beta

@@ -26,8 +26,6 @@ from fide_plugins.runtime.devices import batch_size, digest, in_batches, on_devi
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.types import Float32, Float64
 
-__all__ = ["LPIPSLoss"]
-
 # input of the network: (2 image - 1 - SHIFT) / SCALE
 SHIFT = (-0.030, -0.088, -0.188)
 SCALE = (0.458, 0.448, 0.450)

@@ -30,8 +30,6 @@ from fide_plugins.losses.base import LossOfTarget
 from fide_plugins.losses.scales import gaussian_means, planes, resample, samples_at
 from fide_plugins.types import Float32
 
-__all__ = ["PerceptualLoss"]
-
 LEVELS = 4
 FLOOR = np.float32(1e-3)  # c
 LEAST = 0.1  # smallest fraction of a square that remains when noise is subtracted

@@ -15,8 +15,6 @@ from scipy.sparse import csr_array
 
 from fide_plugins.types import Float32, Float64
 
-__all__ = ["gaussian_means", "planes", "resample", "samples_at"]
-
 REACH = 3.0  # standard deviations at which a Gaussian is cut off
 
 

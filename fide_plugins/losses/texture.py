@@ -14,8 +14,6 @@ from fide_plugins.encoders.texture import statistics
 from fide_plugins.losses.base import LossOfTarget
 from fide_plugins.types import Float32, Float64
 
-__all__ = ["TextureLoss"]
-
 SAMPLES, SHRINKAGE = 80, 0.3  # random textures, and how far their covariance is made diagonal
 
 

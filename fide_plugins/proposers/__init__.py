@@ -5,8 +5,8 @@ from __future__ import annotations
 from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.options import Options
 from fide_plugins.proposers.base import Proposer
-from fide_plugins.proposers.feature_buffer import MOST, for_jacobian
-from fide_plugins.proposers.forward import ForwardProposer, GaussNewtonSteps
+from fide_plugins.proposers.feature_buffer import MOST
+from fide_plugins.proposers.forward import GaussNewtonSteps
 from fide_plugins.proposers.linear import LinearProposer
 from fide_plugins.search.cma_es import are_many
 
@@ -61,10 +61,10 @@ def make_steps(
     """Gauss-Newton steps between the generations; None where the options name none.
 
     Nor are there any where the search begins at hypotheses of a learned model, which are near the
-    answer in what the model knows and anywhere in the rest.
+    answer in what the model knows and anywhere in the rest; but of a photograph it completes them.
     """
     too_many = are_many(dim, popsize) or dim > _MOST_FOR_JACOBIAN
-    if options.proposer != "both" or too_many or learned:
+    if options.proposer != "both" or too_many or (learned and not options.photo):
         return None
     channels = (options.channel_subsets or encoder.channel_subsets)[0]
-    return GaussNewtonSteps(ForwardProposer(dim, for_jacobian(dim), channels, minimum=popsize))
+    return GaussNewtonSteps(dim, channels=channels, minimum=popsize)

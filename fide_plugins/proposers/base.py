@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from torch import Tensor
 
-from fide_plugins.runtime.schema import Sides
+from fide_plugins.runtime.schema import Plain, Sides
 from fide_plugins.types import Float64
 
 
@@ -51,7 +50,5 @@ class Proposer(ABC):
         """Everything that `update` changes."""
 
     @abstractmethod
-    def load_state_dict(
-        self, state: Mapping[str, Any], sides: Sides | None = None, device: Any = None
-    ) -> None:
+    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
         """Put back what `state_dict` gave; ValueError if it is none.  sides: T and C, if known."""

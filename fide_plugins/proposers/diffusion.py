@@ -28,15 +28,15 @@ from fide_plugins.denoiser.training import (
 from fide_plugins.errors import OptionError
 from fide_plugins.options import Options
 from fide_plugins.proposers.base import Proposer
-from fide_plugins.runtime.devices import BatchSize, resolve_device
+from fide_plugins.runtime.devices import resolve_device
 from fide_plugins.runtime.messages import warn_user
 from fide_plugins.runtime.schema import (
+    Plain,
     Schema,
     Sides,
     array,
     check,
     numbers,
-    row,
     side,
     table,
     whole,
@@ -92,8 +92,7 @@ class DiffusionProposer(Proposer):
         self.objective: Objective = objective or XLoss()
         self.precondition = precondition
         self.updates = 0
-        self._batch = BatchSize(batch_size, "examples of the denoiser's")
-        self._proposals = BatchSize(MOST_PROPOSALS, "proposals")
+        self._batch_size = batch_size
         self._warned = False  # that training diverged
         self._sizes = network
         self._network: ParameterTransformer | None = None
@@ -149,7 +148,7 @@ class DiffusionProposer(Proposer):
                     tokens,
                     self._tensor(std),
                     epochs=self.epochs if epochs is None else epochs,
-                    batch_size=self._batch,
+                    batch_size=self._batch_size,
                     generator=self._generator,
                 )
             diverged = not all_finite(network)
@@ -197,11 +196,9 @@ class DiffusionProposer(Proposer):
         with full_precision(self.device):
             context = network.encode_context(target.to(self.device, torch.float32)[None])
             denoise = self.precondition(partial(network, context=context))
-
-            def sample(piece: slice) -> None:
+            for start in range(0, len(noisy), MOST_PROPOSALS):
+                piece = slice(start, start + MOST_PROPOSALS)
                 proposed[piece] = euler(denoise, noisy[piece], spread, times)
-
-            self._proposals.each(sample, len(noisy))
         x = proposed.cpu().numpy().astype(np.float64)
         return np.where(np.isfinite(x), x, z)
 
@@ -212,7 +209,6 @@ class DiffusionProposer(Proposer):
             "updates": self.updates,
             "weights_seed": self._weights_seed,
             "generator": self._generator.get_state(),
-            "room": [self._batch.size, self._proposals.size],
         }
         if self._network is None or self._optimizer is None:
             return state
@@ -226,9 +222,7 @@ class DiffusionProposer(Proposer):
 
     @user_threads
     @torch.inference_mode(False)
-    def load_state_dict(
-        self, state: Mapping[str, Any], sides: Sides | None = None, device: Any = None
-    ) -> None:
+    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
         """Continue bit for bit where `state_dict` was taken; numpy arrays serve as tensors.
 
         sides: T and C of the tokens, if they are known.  Raises ValueError if `state` is none.
@@ -242,7 +236,6 @@ class DiffusionProposer(Proposer):
             load_adam_state(optimizer, state["adam"])
         else:
             self._network = self._optimizer = None
-        self._batch.size, self._proposals.size = map(int, state["room"])
         self.updates = int(state["updates"])
         self._generator.set_state(
             torch.as_tensor(state["generator"], dtype=torch.uint8, device="cpu")
@@ -280,7 +273,6 @@ def _check(state: Mapping[str, Any], sides: Sides) -> None:
         "updates": whole(),
         "weights_seed": whole(high=2**32),
         "generator": array("bytes", kind="u"),
-        "room": row(whole(1), whole(1)),
     }
     if "weights" in state:
         moments: Schema = {"step": numbers, "exp_avg": numbers, "exp_avg_sq": numbers}

@@ -6,14 +6,13 @@ G (n, n) = (e - o) (e - o)^T, over tokens and channels.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from fide_plugins.runtime.schema import Schema, Sides, Stateful, array, check, whole
+from fide_plugins.runtime.schema import Plain, Schema, Sides, Stateful, array, check, whole
 from fide_plugins.types import Float64, Indices, Mask
 
 MOST = 600  # candidates: each generation costs a regression on as many
@@ -98,8 +97,8 @@ class FeatureBuffer(Stateful):
         missing: Float64 = self._toward[1] - self.gram[sources]
         return missing
 
-    def missing(self, target: Tensor, source: int) -> Float64:
-        """e* - e_i for the source i, (f,), in the tokens in use."""
+    def missing(self, target: Tensor, source: int | Indices) -> Float64:
+        """e* - e_i for the source i, (f,), or for several (m, f), in the tokens in use."""
         wanted = self._flat(self._seen(target[None]) - self.origin)[0]
         missing: Float64 = wanted - self.features[source]
         return missing
@@ -143,9 +142,7 @@ class FeatureBuffer(Stateful):
         features[:, self.used[used]] = before[:, used[self.used]]
         self.features, self.used = features.reshape(n, features.shape[1] * channels), used
 
-    def load_state_dict(
-        self, state: Mapping[str, Any], sides: Sides | None = None, device: Any = None
-    ) -> None:
+    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
         """Put back what `state_dict` gave; ValueError if it is none.
 
         sides: n, and T, the number of tokens, if that is known.

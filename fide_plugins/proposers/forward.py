@@ -98,19 +98,23 @@ def _solve(weighted: Float64, u: Float64, penalty: float) -> Float64:
     return np.asarray(np.linalg.solve(normal + p * np.eye(len(normal)), weighted.T), np.float64)
 
 
-_FORWARD_SCHEMA: Schema = {
+_SCHEMA: Schema = {
     "x": array("n", "d"),
     "losses": array("n"),
     "buffer": anything,
+    "new": each(form(TrainingSample)),
+    "due": flag,
+    "left": whole(),
 }
 _SMALLEST_PENALTY = 1e-100  # whose square can be divided by
 _LEAST_KEPT = 0.01
 _FAR = 6.0  # standard deviations between a sample and the best candidate
 _MOST_BYTES = 2**28  # of features
+_MOST = 3  # generations' worth of steps between two of them, where all of the residual is promised
 
 
 @dataclass(eq=False)
-class ForwardProposer:
+class GaussNewtonSteps:
     """Gauss-Newton steps from the best candidate, with a Jacobian fitted to evaluated candidates.
 
     x_new = x_b + std * (J J^T + lambda)^-1 (J e* + g lambda (z - x_b) / std)
@@ -119,6 +123,11 @@ class ForwardProposer:
     from evaluated candidates, as in DFO-LS (Cartis et al. 2019).  What lambda damps is that of the
     sample z, to the extent g that the step falls short of removing what J could explain of the
     residual: a model that explains nothing gives z back, one that is right the Gauss-Newton step.
+
+    They come between the generations.  In a generation they would do harm: they rank first on the
+    way to the next local optimum, too.  Where the model promises that one removes the share p of
+    the residual, up to 3 p k come after a generation of k candidates; they end as soon as
+    p < `least_promise` (measured, see `lab/reports/moves.md`).
 
     Parameters
     ----------
@@ -133,6 +142,7 @@ class ForwardProposer:
     longest : longest step, in units of sqrt(d) standard deviations.
     kept : how much of a sample is kept, at most, in directions that lambda damps.
     select : whether tokens that do not vary are left out, see `proposers.feature_buffer`.
+    least_promise : see above.
     """
 
     dim: int
@@ -144,18 +154,76 @@ class ForwardProposer:
     longest: float = 1.0
     kept: float = 1.0
     select: bool = True
+    least_promise: float = 0.25
 
     def __post_init__(self) -> None:
         self.most = self.capacity or for_jacobian(self.dim)
         self.forget()
 
     def forget(self) -> None:
-        """Begin with an empty buffer: another search goes elsewhere."""
+        """Another search begins elsewhere, with a generation."""
         self.x: Float64 = np.empty((0, self.dim))
-        """(n, d), candidates that are remembered."""
+        """(n, d), candidates that the model knows."""
         self._losses: Float64 = np.empty(0)
         self._buffer = FeatureBuffer(self.channels, self.select)
         self._fit: tuple[Float64, Jacobian] | None = None  # with its std
+        self._new: list[TrainingSample] = []  # the model does not know them yet
+        self.due = False
+        """Whether a generation was completed and nobody has asked since."""
+        self._left = 0
+
+    # -- when, and how many ------------------------------------------------------------------------
+
+    def add(self, sample: TrainingSample) -> None:
+        """Note what was evaluated; of twice what the model remembers, the best and the latest."""
+        self._new.append(sample)
+        most = max(self.minimum, self.most)
+        if len(self._new) > 2 * most:
+            losses = np.array([one.loss for one in self._new])
+            self._new = [self._new[i] for i in best_and_latest(losses, most)]
+
+    def left(self, popsize: int, target: Tensor, std: Float64) -> int:
+        """How many steps come before the next generation of popsize candidates.
+
+        The model learns what is new, and what it promises now may end them.
+
+        target: tokens (T, C).  std: (d,), of the search distribution.
+        """
+        if not (self.due or self._left):
+            return 0
+        if self._new:
+            self.update(*columns(in_order(self._new)), std)
+            self._new = []
+        enough = len(self.x) >= self.minimum
+        promise = self.promised(target, std) if enough else 0.0
+        if not promise >= self.least_promise:  # or it is NaN
+            self._left = 0
+        elif self.due:
+            self._left = round(_MOST * promise * popsize)
+        self.due = False
+        return self._left
+
+    def new_ones(self, x: Float64, is_out: Callable[[Float64], bool]) -> Float64:
+        """Those of steps x (m, d), as they are rendered, before the first that is not new.
+
+        is_out: whether a point (d,) was asked and not yet told.
+        """
+        for i, row in enumerate(x):
+            known = (self.x == row).all(axis=1).any() or (x[:i] == row).all(axis=1).any()
+            if known or is_out(row):
+                self._left = i
+                return x[:i]
+        return x
+
+    def taken(self, n: int) -> None:
+        """Note that n of those that are left were asked; none are, once a generation has begun."""
+        self._left = max(0, self._left - n)
+
+    def end(self) -> None:
+        """Take no more before the generation that begins now."""
+        self.due, self._left = False, 0
+
+    # -- the model ---------------------------------------------------------------------------------
 
     def update(self, x: Float64, tokens: Tensor, losses: Float64, std: Float64) -> None:
         """Remember candidates x (n, d), the tokens (n, T, C) of their images, losses (n,)."""
@@ -233,19 +301,28 @@ class ForwardProposer:
         slope: Float64 = jacobian.vectors.T @ (jacobian.Q @ (products - products[b]))
         return scale, jacobian, slope
 
-    def state_dict(self) -> dict[str, Any]:
-        """The buffer."""
-        return {"x": self.x, "losses": self._losses, "buffer": self._buffer.state_dict()}
+    # -- saving ------------------------------------------------------------------------------------
 
-    def load_state_dict(
-        self, state: Mapping[str, Any], sides: Sides | None = None, device: Any = None
-    ) -> None:
-        """Put back what `state_dict` gave; ValueError if it is none."""
-        own = {"d": self.dim}
-        check(state, _FORWARD_SCHEMA, own, "proposer")
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that changes."""
+        return {
+            "x": self.x,
+            "losses": self._losses,
+            "buffer": self._buffer.state_dict(),
+            "new": [sample.state_dict() for sample in self._new],
+            "due": self.due,
+            "left": self._left,
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any], sides: Sides, device: Any) -> None:
+        """Put back what `state_dict` gave, tokens on the device; ValueError if it is none."""
+        own = {**sides, "d": self.dim}
+        check(state, _SCHEMA, own, "steps")
         self._fit = None
         self.x, self._losses = state["x"], state["losses"]
-        self._buffer.load_state_dict(state["buffer"], {**(sides or {}), "n": own["n"]})
+        self._buffer.load_state_dict(state["buffer"], own)
+        self._new = [TrainingSample.from_state(sample, device) for sample in state["new"]]
+        self.due, self._left = state["due"], state["left"]
 
 
 def _balanced(jacobian: Jacobian, slope: Float64) -> float:
@@ -272,102 +349,3 @@ def best_and_latest(losses: Float64, n: int) -> Indices:
     earlier = len(losses) - n // 2
     best = np.argsort(losses[:earlier], kind="stable")[: n - n // 2]
     return np.concatenate([np.sort(best), np.arange(earlier, len(losses))])
-
-
-_MOST = 3  # generations' worth of steps between two of them, where all of the residual is promised
-
-_STEPS_SCHEMA: Schema = {
-    "forward": anything,
-    "new": each(form(TrainingSample)),
-    "due": flag,
-    "left": whole(),
-}
-
-
-class GaussNewtonSteps:
-    """Which steps come before the next generation.
-
-    In a generation steps would do harm: they rank first on the way to the next local optimum, too.
-    Where the model promises that one removes the share p of the residual, up to 3 p k come after a
-    generation of k candidates; they end as soon as p < `least_promise`.
-
-    forward: the model, fitted only when somebody asks for steps.
-    least_promise: it and the number of steps were measured, see `lab/reports/moves.md`.
-    """
-
-    def __init__(self, forward: ForwardProposer, least_promise: float = 0.25) -> None:
-        self.forward, self.least_promise = forward, least_promise
-        self.forget()
-
-    def forget(self) -> None:
-        """Another search begins; its first generation comes first."""
-        self.forward.forget()
-        self._new: list[TrainingSample] = []  # the model does not know them yet
-        self.due = False
-        """Whether a generation was completed and nobody has asked since."""
-        self._left = 0
-
-    def add(self, sample: TrainingSample) -> None:
-        """Note what was evaluated; of twice what the model remembers, the best and the latest."""
-        self._new.append(sample)
-        most = max(self.forward.minimum, self.forward.most)
-        if len(self._new) > 2 * most:
-            losses = np.array([one.loss for one in self._new])
-            self._new = [self._new[i] for i in best_and_latest(losses, most)]
-
-    def left(self, popsize: int, target: Tensor, std: Float64) -> int:
-        """How many steps come before the next generation of popsize candidates.
-
-        The model learns what is new, and what it promises now may end them.
-
-        target: tokens (T, C).  std: (d,), of the search distribution.
-        """
-        if not (self.due or self._left):
-            return 0
-        if self._new:
-            self.forward.update(*columns(in_order(self._new)), std)
-            self._new = []
-        enough = len(self.forward.x) >= self.forward.minimum
-        promise = self.forward.promised(target, std) if enough else 0.0
-        if not promise >= self.least_promise:  # or it is NaN
-            self._left = 0
-        elif self.due:
-            self._left = round(_MOST * promise * popsize)
-        self.due = False
-        return self._left
-
-    def new_ones(self, x: Float64, is_out: Callable[[Float64], bool]) -> Float64:
-        """Those of steps x (m, d), as they are rendered, before the first that is not new.
-
-        is_out: whether a point (d,) was asked and not yet told.
-        """
-        for i, row in enumerate(x):
-            known = (self.forward.x == row).all(axis=1).any() or (x[:i] == row).all(axis=1).any()
-            if known or is_out(row):
-                self._left = i
-                return x[:i]
-        return x
-
-    def taken(self, n: int) -> None:
-        """Note that n of those that are left were asked; none are, once a generation has begun."""
-        self._left = max(0, self._left - n)
-
-    def end(self) -> None:
-        """Take no more before the generation that begins now."""
-        self.due, self._left = False, 0
-
-    def state_dict(self) -> dict[str, Any]:
-        """Everything that changes."""
-        return {
-            "forward": self.forward.state_dict(),
-            "new": [sample.state_dict() for sample in self._new],
-            "due": self.due,
-            "left": self._left,
-        }
-
-    def load_state_dict(self, state: Mapping[str, Any], sides: Sides, device: Any) -> None:
-        """Put back what `state_dict` gave, tokens on the device; ValueError if it is none."""
-        check(state, _STEPS_SCHEMA, dict(sides), "steps")
-        self.forward.load_state_dict(state["forward"], sides)
-        self._new = [TrainingSample.from_state(sample, device) for sample in state["new"]]
-        self.due, self._left = state["due"], state["left"]

@@ -150,6 +150,7 @@ def _correlation(u: Float64, v: Float64) -> float:
 
 def _ranks(values: Float64) -> Float64:
     """Ranks (n,) around 0; equal values share their mean."""
-    _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
-    mean: Float64 = np.cumsum(counts) - (counts - 1) / 2 - (len(values) + 1) / 2
-    return mean[inverse]
+    ordered = np.sort(values)
+    before, with_equal = np.searchsorted(ordered, values), np.searchsorted(ordered, values, "right")
+    ranks: Float64 = (before + with_equal - len(values)) / 2
+    return ranks

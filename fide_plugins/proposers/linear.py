@@ -7,7 +7,6 @@ weights that fall with the rank of the loss, and K (f, d) the ridge regression o
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -17,7 +16,7 @@ from torch import Tensor
 
 from fide_plugins.proposers.base import Proposer
 from fide_plugins.proposers.feature_buffer import FeatureBuffer, explained, ridge
-from fide_plugins.runtime.schema import Schema, Sides, anything, array, check, each, flag
+from fide_plugins.runtime.schema import Plain, Schema, Sides, anything, array, check, each, flag
 from fide_plugins.types import Float64, Indices
 
 if TYPE_CHECKING:
@@ -151,7 +150,12 @@ class LinearProposer(Proposer):
             if v not in self._fits or not np.array_equal(self._fits[v][0], std):
                 self._fits[v] = std.copy(), self._regress(buffer, ranks, std)
             fit, full = self._fits[v][1], self.r2_threshold
-            correction[mine] = std * _correct(buffer, fit, sources[mine], target)
+            products = buffer.products(target, sources[mine])
+            deviations = products - (products @ fit.w)[:, None]
+            u = (deviations * np.sqrt(fit.w)) @ fit.coefficients  # (e* - e_i) K
+            if fit.slopes is not None:
+                u += buffer.missing(target, sources[mine]) @ fit.slopes
+            correction[mine] = std * u
             if full:
                 trust[mine] = np.clip(fit.explained, 0.0, full) / full
         a = rng.uniform(*self.step, size=(len(z), 1))
@@ -194,9 +198,7 @@ class LinearProposer(Proposer):
         found = {"x": self._x, "losses": self._losses, "screening": self.screening}
         return found | {"buffers": buffers}
 
-    def load_state_dict(
-        self, state: Mapping[str, Any], sides: Sides | None = None, device: Any = None
-    ) -> None:
+    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
         """Put back what `state_dict` gave; ValueError if it is none."""
         self._fits = {}
         own = {"d": self.dim}
@@ -205,16 +207,3 @@ class LinearProposer(Proposer):
         self._x, self._losses = state["x"], state["losses"]
         for buffer, saved in zip(self._buffers, state["buffers"], strict=True):
             buffer.load_state_dict(saved, {**(sides or {}), "n": own["n"]})
-
-
-def _correct(buffer: FeatureBuffer, fit: _Regression, sources: Indices, target: Tensor) -> Float64:
-    """(e* - e_i) K for the sources i, (m, d)."""
-    products = buffer.products(target, sources)
-    deviations = products - (products @ fit.w)[:, None]
-    corrections: Float64 = (deviations * np.sqrt(fit.w)) @ fit.coefficients
-    if fit.slopes is None:
-        return corrections
-    distinct, which = np.unique(sources, return_inverse=True)
-    missing = np.array([buffer.missing(target, int(i)) for i in distinct])
-    local: Float64 = missing @ fit.slopes
-    return corrections + local[which]

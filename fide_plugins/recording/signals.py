@@ -1,7 +1,6 @@
-"""Ctrl-C and SIGTERM: stop where the state is consistent, and save it.
+"""Ctrl-C and SIGTERM: rendering stops at once, a step of the optimizer at its end.
 
-A signal stops rendering at once; during a step of the optimizer it waits for the end of the step,
-and a second signal does not.
+A second signal does not wait.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """Files of a run as others read them: its record, its checkpoint.
 
-`run.ckpt` names the file of the optimizer, which is written first, under a new name: so a kill at
-any moment leaves a consistent pair.
+`run.ckpt` names the file of the optimizer, which is written first: any kill leaves a pair.
 """
 
 from __future__ import annotations

@@ -1,18 +1,4 @@
-"""A renderer that is a program, run once for each image, and its command line with placeholders.
-
-=====================  =====================================================================
-placeholder            is replaced by
-=====================  =====================================================================
-``{out}``              path of the image to write, which ends with .png
-``{out:.tif}``         the same with another ending
-``{azimuth}``          value of a parameter
-``{azimuth:.3f}``      the same in a format of Python's `format`
-``{beads[0].x}``       a parameter of a group, by its flat name (`Space.names`)
-``{params}``           path of a JSON file with all parameters
-``{width} {height}``   pixels of the image, ``{samples}`` of each pixel, and ``{seed}`` of its
-                       noise: FIDE then asks for as little as the present step needs
-``{{`` and ``}}``      braces
-=====================  =====================================================================
+"""A renderer that is a program, run once for each image; its command line has placeholders.
 
 The template is split into arguments before values are filled in, and there is no shell.
 """

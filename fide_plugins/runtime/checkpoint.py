@@ -1,12 +1,7 @@
-"""File format of a state, exact to the last bit, without pickle.
+"""File format of a state, exact to the last bit, without pickle; the file may be anybody's.
 
-A state is a nested dict or list of arrays (NumPy; PyTorch tensors come back as NumPy), int, float,
-str, bool and None.  The file, in little endian, is
-
-    magic (8 bytes) | version (u32) | BLAKE2b of the rest (32) | length of text | text | arrays
-
-The text is JSON, in which {"FIDE array": 3} stands for the array of that number.  The file may come
-from anybody: nothing in it is executed, and no array is larger than the file.
+A state is a nested dict or list of arrays, int, float, str, bool and None.  Little endian:
+magic (8 bytes) | version (u32) | BLAKE2b of the rest (32) | length of JSON | JSON | arrays
 """
 
 from __future__ import annotations

@@ -11,7 +11,6 @@ import torch
 from torch import Tensor, nn
 
 from fide_plugins.errors import DeviceError
-from fide_plugins.runtime.messages import warn_user
 from fide_plugins.types import Float32
 
 _GPU = ("gpu", "nvidia")  # what people call a device that PyTorch calls "cuda"
@@ -77,8 +76,6 @@ def has_bfloat16(device: torch.device) -> bool:
     return False
 
 
-# -- batch sizes that shrink if a device runs out of memory ----------------------------------------
-
 # Messages of PyTorch and of libraries that it calls, in a plain RuntimeError.
 _OF_CPU = ("can't allocate memory", "not enough memory")
 _OF_GPU = ("out of memory", "ALLOC_FAILED")
@@ -96,51 +93,6 @@ def is_out_of_gpu_memory(error: BaseException) -> bool:
     return isinstance(error, torch.OutOfMemoryError) or said
 
 
-class BatchSize:
-    """A batch size that is halved whenever the device runs out of memory.
-
-    size: initial batch size; what: name of the items, for messages.
-    """
-
-    def __init__(self, size: int, what: str) -> None:
-        self.size, self.what = size, what
-        self._warned = False
-
-    def each(self, work: Callable[[slice], object], n: int) -> None:
-        """Call `work` on consecutive batches of n items.
-
-        If the device runs out of memory, the batch is repeated in halves, and all later batches
-        have that size; a RuntimeWarning reports it once.  So `work` must change nothing before it
-        raises.  An error for a batch of one item is raised.
-        """
-        start = 0
-        while start < n:
-            end = min(start + self.size, n)
-            try:
-                work(slice(start, end))
-            except (RuntimeError, MemoryError) as error:
-                if not is_out_of_memory(error):
-                    raise
-                if end - start == 1:
-                    remedy = "device='cpu', or smaller images"
-                    error.add_note(f"the memory is too small for one of the {self.what}: {remedy}")
-                    raise
-                self.size = (end - start) // 2
-            else:
-                start = end
-                continue
-            if torch.cuda.is_available():
-                torch.cuda.empty_cache()  # only here: the exception has released its memory
-            if not self._warned:
-                self._warned = True
-                warn_user(
-                    f"the device's memory is too small for so many {self.what} at once; "
-                    f"from now on {self.size}"
-                )
-
-
-# -- batches of a fixed size -----------------------------------------------------------------------
-#
 # Matrix products of different shapes may sum in different orders: with a variable batch size, the
 # last bits of an image's features would depend on the pieces in which results are told.  A single
 # image costs as much as a full batch, so batches on a CPU are small.

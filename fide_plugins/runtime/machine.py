@@ -74,8 +74,6 @@ def cores(limit: Path = Path("/sys/fs/cgroup/cpu.max")) -> int:
     return max(1, found)
 
 
-# -- distributions of OpenCV, and extras -----------------------------------------------------------
-
 OPENCV = "opencv-contrib-python-headless"
 """The one that FIDE requires: it needs no libGL, and has all modules of the others."""
 _OPENCV = ("opencv-python", "opencv-python-headless", "opencv-contrib-python", OPENCV)

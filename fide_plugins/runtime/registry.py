@@ -1,8 +1,4 @@
-"""What users name or hand over: factories by name, attributes of their files, their functions.
-
-A renderer is known again by a version, which the user states, or else by a fingerprint of its
-source with its kind, such as "file:0123456789abcdef".
-"""
+"""What users name or hand over: factories by name, attributes of files, functions, fingerprints."""
 
 from __future__ import annotations
 
@@ -96,8 +92,6 @@ class Registry(Generic[T]):
             raise OptionError(f"{self._kind} {name!r}: {error}; its options: {its}") from None
         return factory(*args, **options)
 
-
-# -- attributes of a user's file or module ---------------------------------------------------------
 
 _FINGERPRINTS: WeakKeyDictionary[ModuleType, str | None] = WeakKeyDictionary()
 
@@ -212,8 +206,6 @@ def shown_traceback(error: BaseException, caller: str = __file__) -> str:
     return "".join(shown).rstrip()
 
 
-# -- functions of images, tried before anything depends on them ------------------------------------
-
 _RELATIVE, _ABSOLUTE = 1e-3, 1e-5  # kernels of networks round differently for each batch size
 
 
@@ -255,9 +247,6 @@ def tried_on(
             "that depend on the batch off (model.eval())"
         )
     return together
-
-
-# -- fingerprints ----------------------------------------------------------------------------------
 
 
 def of_bytes(kind: str, data: bytes) -> str:

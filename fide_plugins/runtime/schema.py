@@ -1,13 +1,9 @@
-"""Schemas: types, ranges and shapes of a state that was read from a file.
+"""Schemas: types, ranges and shapes of a state that was read from a file, by name of each side.
 
-A checkpoint with a valid checksum may still hold anything, since anybody can write one.  A *schema*
-is a nested dict like the state, with a rule at each leaf.  Sides of arrays have names, and a name
-stands for the same number wherever it appears.
-
-    >>> check({"x": np.zeros((3, 2)), "n": 3}, {"x": array("n", "d"), "n": whole()}, {"d": 2})
-    >>> check({"x": np.zeros((3, 2)), "n": 3}, {"x": array("n", "n"), "n": whole()}, {})
-    Traceback (most recent call last):
-    ValueError: state['x'] has the shape (3, 2), and n is 3
+>>> check({"x": np.zeros((3, 2)), "n": 3}, {"x": array("n", "d"), "n": whole()}, {"d": 2})
+>>> check({"x": np.zeros((3, 2)), "n": 3}, {"x": array("n", "n"), "n": whole()}, {})
+Traceback (most recent call last):
+ValueError: state['x'] has the shape (3, 2), and n is 3
 """
 
 from __future__ import annotations
@@ -20,6 +16,8 @@ from typing import Any, ClassVar, TypeAlias
 import numpy as np
 
 Sides: TypeAlias = dict[str, int]
+Plain: TypeAlias = Mapping[str, Any]
+"""What `state_dict` gives: arrays, tensors, numbers, texts, in lists and dicts."""
 Rule: TypeAlias = Callable[[Any, str, Sides], None]
 Schema: TypeAlias = "Rule | dict[str, Schema]"
 
@@ -82,9 +80,7 @@ class Stateful:
         """All that changes, those values in use, not copies; parts by their own `state_dict`."""
         return {name: packed(getattr(self, self._attribute(name))) for name in self.SCHEMA}
 
-    def load_state_dict(
-        self, state: Mapping[str, Any], sides: Sides | None = None, device: Any = None
-    ) -> None:
+    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
         """Put back what `state_dict` gave; ValueError for what it cannot have given.
 
         sides: of arrays, by their names in the schema, as far as they are known.
@@ -104,9 +100,6 @@ class Stateful:
 
     def _attribute(self, name: str) -> str:
         return f"_{name}" if hasattr(self, f"_{name}") else name
-
-
-# -- rules -----------------------------------------------------------------------------------------
 
 
 def _demand(sound: bool, place: str, otherwise: str) -> None:

@@ -1,9 +1,7 @@
 """What is around a computation: how many threads take part, who waits, how long it takes.
 
-The small parts compute in one thread, within `one_thread`; networks, and functions of the user's,
-in as many as the user has set, within `user_threads`.  OpenMP and MKL have one setting for each
-thread.  OpenBLAS has one for the process: the first thread that enters limits it, the last one that
-leaves restores.  In a forked process `user_threads` is one thread, and a `Lock` is free.
+Small parts compute within `one_thread`, networks and the user's functions within `user_threads`.
+OpenBLAS has one setting for the process: the last thread that leaves restores it.
 """
 
 from __future__ import annotations

@@ -7,12 +7,12 @@ CMA Evolution Strategy: A Tutorial" (arXiv:1604.00772); C = B diag(D^2) B^T.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, ClassVar
 
 import numpy as np
 
-from fide_plugins.runtime.schema import Schema, Sides, Stateful, anything, array, real, whole
+from fide_plugins.runtime.schema import Plain, Schema, Sides, Stateful, anything, array, real, whole
 from fide_plugins.types import Float64, Mask
 
 _MEMORY = 0.3  # weight of the newest comparison
@@ -298,9 +298,7 @@ class CMAES(Stateful):
             self.C = (self.C + self.C.T) / 2
         self._D = np.sqrt(eigenvalues)
 
-    def load_state_dict(
-        self, state: Mapping[str, Any], sides: Sides | None = None, device: Any = None
-    ) -> None:
+    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
         """Go on, bit for bit, where `state_dict` was taken; ValueError if it is none."""
         if (state.get("two_point") is None) != (self._two_point is None):
             raise ValueError("distribution['two_point'] is not of so many parameters")

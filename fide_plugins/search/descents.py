@@ -12,11 +12,9 @@ import numpy as np
 from torch import Tensor
 
 from fide_plugins.population import TrainingSample
-from fide_plugins.runtime.schema import Schema, Sides, Stateful, array, whole
+from fide_plugins.runtime.schema import Plain, Schema, Sides, Stateful, array, whole
 from fide_plugins.search.mixed import Axes, shorter
 from fide_plugins.types import Float32, Float64
-
-__all__ = ["Descents"]
 
 _ROUNDS = (
     (0.0125, 0.005, 3, "S"),
@@ -33,6 +31,7 @@ _AROUND = 36  # points around a guess, of which starts are selected
 _APART = 0.02  # of the unit cube, in some parameter: another start
 _DAMPING, _LEAST_DAMPING, _LESS, _MORE = 1e-2, 1e-4, 0.1, 10.0
 _RIDGE = 1e-4  # of the mean square of all derivatives: what images do not show stays
+_SHARE, _WIDEST = 0.25, 8.0  # of what is open: a step of differences; at most, in steps
 _LONGEST = 0.15  # of the unit cube, of a step
 
 
@@ -51,12 +50,14 @@ class Descents(Stateful):
         "x": array("m", "d", low=0.0, high=1.0),
         "losses": array("m", high=np.inf),
         "damping": array("m", low=0.0),
+        "widths": array("d", low=1.0),
         "residuals": array("m", "f"),
         "jacobians": array("m", "d", "f"),
     }
 
     def __init__(self, axes: Axes, place: Callable[[Float64], Float64]) -> None:
         self._axes, self._place = axes, place
+        self.widths = np.ones(axes.dim)  # of differences, in units of the round's
         self._begin(np.empty((0, axes.dim)))
         self.round = len(_ROUNDS)
 
@@ -89,8 +90,14 @@ class Descents(Stateful):
         apart[0] = 0.0
         self._begin(self._rendered(x + apart))
 
-    def begin(self, found: Sequence[tuple[float, Float64]]) -> None:
-        """Begin at the best distinct ones of points that were found, as loss and x (d,)."""
+    def begin(self, found: Sequence[tuple[float, Float64]], spread: Float64 | None = None) -> None:
+        """Begin at the best distinct ones of points that were found, as loss and x (d,).
+
+        spread: (d,), standard deviations of what is open, where differences are as wide; None:
+            nothing is.
+        """
+        if spread is not None:
+            self.widths = np.clip(_SHARE * spread / _ROUNDS[0][1], 1.0, _WIDEST)
         most = max(1, min(_ROUNDS[0][2], _MOST_POINTS // (self._axes.dim + 1)))
         starts: list[Float64] = []
         for _, x in sorted(found, key=lambda one: one[0]):
@@ -136,7 +143,7 @@ class Descents(Stateful):
 
     def _neighbors(self, i: int) -> Float64:
         """Its point and one beside it on each axis, (1 + d, d)."""
-        step = _ROUNDS[self.round][1]
+        step = _ROUNDS[self.round][1] * self.widths
         beside = np.where(self.x[i] + step <= 1, step, -step)
         return self._rendered(np.vstack([self.x[i], self.x[i] + np.diag(beside)]))
 
@@ -189,9 +196,7 @@ class Descents(Stateful):
         """Signed differences (d,) of y from x, the shorter way around."""
         return shorter(y - x, self._axes.periodic)
 
-    def load_state_dict(
-        self, state: Mapping[str, Any], sides: Sides | None = None, device: Any = None
-    ) -> None:
+    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
         """Put back what `state_dict` gave; raises ValueError for what it cannot have given."""
         super().load_state_dict(state)
         for name in ("x", "losses", "damping", "residuals", "jacobians"):

@@ -6,16 +6,16 @@ hypotheses around them.  All other moves but `Refine` and `Resample` come after 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 
-from fide_plugins.runtime.schema import Schema, Sides, Stateful, array, flag, maybe, real
+from fide_plugins.runtime.schema import Plain, Schema, Sides, Stateful, array, flag, maybe, real
 from fide_plugins.search.mixed import Axes
-from fide_plugins.search.moves import AFTER_DESCENT, Known, Move, Start
+from fide_plugins.search.moves import Known, Move, Start
 from fide_plugins.search.scene import Exchangeability
 from fide_plugins.types import Float64, Indices, Posterior
 
@@ -85,9 +85,12 @@ _RENDERED = 48
 _RENDERED_SETS = 8  # and where some were refined
 _BESIDE_REFINED = 3  # of those: draws, whose median loss one odd draw does not move
 _SEARCHED = 4  # of those rendered
+_COMPLETED = 30  # candidates with what the best one of those has, and others leave open
 _APART = 0.15  # of the unit cube, in some parameter: other hypotheses
 _BETTER = 0.1  # of the typical loss
+_FOREIGN = 0.045  # of the typical loss: more of it is no render's
 _H_NARROWEST, _WIDEST, _WIDEST_SET = 0.02, 1 / 6, 0.06  # standard deviations
+_AFTER_DESCENT, _OPEN = 0.02, 0.05  # at most, where descents have ended; but where it is wider
 _NARROWEST_REFINED = 0.006  # descents through an emulator end near each other
 
 
@@ -98,7 +101,12 @@ class Hypotheses(Move, Stateful):
     sets: whether they are sets of exchangeable blocks.
     place: points (n, d) as they are rendered: integers and choices in their cells.
     narrow: whether those that wait are where descents ended.
+    floor: loss that no candidate removes, as far as is known; set before each decision.
     typical: median loss of the draws that were rendered; None where it is not known.
+
+    Of a photograph, a second generation completes the best of those rendered: what hypotheses that
+    agree with it leave open is drawn again (`mixed_with`), since draws of all parameters at once
+    hardly have all of it right.
     """
 
     name = "learned"
@@ -110,6 +118,9 @@ class Hypotheses(Move, Stateful):
         "waiting": array("waiting", "d", low=0.0, high=1.0),
         "typical": maybe(real()),
         "narrow": flag,
+        "completed": flag,
+        "before": array("before", "d", low=0.0, high=1.0),
+        "losses_before": array("before"),
     }
 
     def __init__(
@@ -121,6 +132,7 @@ class Hypotheses(Move, Stateful):
         place: Callable[[Float64], Float64] = np.copy,
     ) -> None:
         self._sets, self._place, self._dim = sets, place, dim
+        self.floor = 0.0
         self.begin(posterior)
 
     def begin(self, posterior: Posterior | None) -> None:
@@ -128,7 +140,8 @@ class Hypotheses(Move, Stateful):
         nothing = np.empty((0, self._dim))
         self.x, refined = posterior or Posterior(nothing)
         self._refined = nothing if refined is None else refined
-        self.narrow = False
+        self.narrow, self._completed = False, False
+        self._before, self._losses_before = nothing, np.empty(0)  # rendered, best first
         self._waiting = nothing  # starts that were not searched yet, best first
         self.typical: float | None = None
 
@@ -153,18 +166,46 @@ class Hypotheses(Move, Stateful):
 
         None where that is unknown, or not positive: losses of the user's own may be of any sign.
         """
-        return None if self.typical is None or self.typical <= 0 else _BETTER * self.typical
+        if self.typical is None or self.typical <= 0:
+            return None
+        return self.floor + _BETTER * max(0.0, self.typical - self.floor)
+
+    @property
+    def are_foreign(self) -> bool:
+        """Whether much of their losses is a difference that no render removes."""
+        return self.typical is not None and self.floor > _FOREIGN * self.typical
 
     def possible(self, known: Known) -> bool:
         """Whether there are any."""
         return self.available
 
     def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
-        """Those that are rendered first, (m, d): what was refined, the best first, and draws."""
+        """Those that are rendered first, (m, d): what was refined, the best first, and draws.
+
+        In the second generation those that complete the best one.
+        """
+        if len(self._before):
+            best = self._before[0]
+            opened = open_parameters(best, self.x, known.axes)
+            return mixed_with(best, self.x, opened, _COMPLETED, rng)
         few = self._sets or len(self._refined) > 0
         refined = self._refined[: _RENDERED_SETS - _BESIDE_REFINED]
         draws = self.x[: (_RENDERED_SETS if few else _RENDERED) - len(refined)]
         return np.concatenate([refined, draws])
+
+    def complete(self, found: Sequence[tuple[float, Float64]], known: Known) -> bool:
+        """Whether a generation comes that completes the best of those found, as loss and x (d,)."""
+        losses, x = (np.array(one) for one in zip(*found, strict=True))
+        order = np.argsort(losses, kind="stable")
+        if self._completed or self._sets or not open_parameters(x[order[0]], self.x, known.axes):
+            return False
+        self._completed, self._before, self._losses_before = True, x[order], losses[order]
+        return True
+
+    @property
+    def before(self) -> list[tuple[float, Float64]]:
+        """What was found before the present generation, as loss and x (d,)."""
+        return list(zip(self._losses_before.tolist(), self._before, strict=True))
 
     def learn(
         self,
@@ -176,14 +217,17 @@ class Hypotheses(Move, Stateful):
 
         best: (d,), the best of all, also where no image is known.
         """
-        chosen = [best]
-        for _, x in sorted(found, key=lambda one: one[0]):
+        ordered = sorted(found, key=lambda one: one[0])
+        chosen = [ordered[0][1] if self._completed else best]
+        for _, x in ordered:
             if (
                 len(chosen) < (1 if self._sets else _SEARCHED)
                 and min(distance(x, y) for y in chosen) >= _APART
             ):
                 chosen.append(x)
         self._waiting = np.array(chosen)
+        if self.typical is not None:
+            return
         losses = [loss for loss, x in found if self._is_among(x, self.x)]
         typical = float(np.median(losses)) if losses else np.inf
         self.typical = typical if np.isfinite(typical) else None
@@ -210,12 +254,12 @@ class Hypotheses(Move, Stateful):
 
     def begin_at(self, known: Known, x: Float64) -> Start:
         """Begin at x (d,), as wide as the hypotheses around it."""
-        std = self._spread(x, known)
+        std = self.spread(x, known)
         if self.narrow:
-            std = np.minimum(std, AFTER_DESCENT)
+            std = np.where(std > _OPEN, std, np.minimum(std, _AFTER_DESCENT))
         return Start(x, std, strict_above=self.strict_above)
 
-    def _spread(self, x: Float64, known: Known) -> Float64:
+    def spread(self, x: Float64, known: Known) -> Float64:
         """Standard deviations (d,) around x (d,) of the hypotheses that are nearest to it."""
         refined = self._is_among(x, self._refined)
         around = np.concatenate([self._refined, self.x[:1]]) if refined else self.x
@@ -231,12 +275,10 @@ class Hypotheses(Move, Stateful):
         """Whether a candidate x (d,), as it was rendered, is one of the points (n, d)."""
         return bool((self._place(points) == x).all(axis=1).any())
 
-    def load_state_dict(
-        self, state: Mapping[str, Any], sides: Sides | None = None, device: Any = None
-    ) -> None:
+    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
         """Put back what `state_dict` gave; ValueError for what it cannot have given."""
         super().load_state_dict(state, {"d": self._dim})
-        for name in ("x", "_refined", "_waiting"):
+        for name in ("x", "_refined", "_waiting", "_before"):
             setattr(self, name, getattr(self, name).reshape(-1, self._dim))
 
 
@@ -246,13 +288,53 @@ _OPEN_SHARE = 0.25  # of these, at least, differ from the incumbent in a paramet
 _WIDE, _NARROW = 1 / 3, 1 / 16  # of sigma0, in the parameters that were drawn, in all others
 
 
-class Resample(Move):
-    """What a learned model leaves open, drawn again around the best so far.
+Opened: TypeAlias = list[tuple[Indices, Float64]]
+"""Of each parameter that is open: its axes, and what (m, axes) hypotheses have there, sorted."""
 
-    Restart candidates are copies of the incumbent with parameters of hypotheses where these differ
-    from it: half of them in a single parameter, spread over what hypotheses have that agree with
-    the incumbent in the others, and half of them in several at once, all of one hypothesis.
+
+def open_parameters(x: Float64, hypotheses: Float64, axes: Axes) -> Opened:
+    """What those hypotheses (n, d) leave open that agree with a point (d,) in the rest."""
+    apart = axes.difference(hypotheses, x)
+    agree = np.column_stack([apart[:, some].max(axis=1) <= _AGREE for some in axes.axes_of])
+    opened = []
+    for i, some in enumerate(axes.axes_of):
+        others = agree.sum(axis=1) - agree[:, i]
+        nearest = np.argsort(-others, kind="stable")[: max(1, int(_AGREEING * len(hypotheses)))]
+        differ = nearest[~agree[nearest, i]]
+        if len(differ) >= _OPEN_SHARE * len(nearest):
+            values = hypotheses[differ][:, some]
+            opened.append((some, values[np.lexsort(values.T[::-1])]))
+    return opened
+
+
+def mixed_with(
+    x: Float64, hypotheses: Float64, opened: Opened, n: int, rng: np.random.Generator
+) -> Float64:
+    """Copies (n, d) of a point (d,) with parameters of hypotheses (m, d) where these are open.
+
+    Half of them in a single parameter, spread over what is possible there, and half of them in
+    several at once, all of one hypothesis.
     """
+    copies = np.tile(x, (n, 1))
+    if not opened:
+        return copies
+    singles = rng.permutation(np.arange((n + 1) // 2))
+    for i, row in enumerate(copies[::2]):
+        axes, values = opened[singles[i] % len(opened)]
+        strata = -(-len(singles) // len(opened))  # draws of this parameter, one from each
+        quantile = (singles[i] // len(opened) + rng.random()) / strata
+        row[axes] = values[min(int(quantile * len(values)), len(values) - 1)]
+    for row in copies[1::2]:
+        other = hypotheses[rng.integers(len(hypotheses))]
+        some = rng.random(len(opened)) < 0.5
+        some[rng.choice(len(opened), min(2, len(opened)), replace=False)] = True
+        for axes, _ in (one for one, taken in zip(opened, some, strict=True) if taken):
+            row[axes] = other[axes]
+    return copies
+
+
+class Resample(Move):
+    """What a learned model leaves open, drawn again around the best so far, see `mixed_with`."""
 
     name = "resample"
     prior_gain = 0.5
@@ -264,43 +346,12 @@ class Resample(Move):
         """Whether there are hypotheses that leave anything open, and no blocks are exchangeable."""
         if not self._hypotheses.available or known.exchangeability.blocks is not None:
             return False
-        return len(self._open(known)) > 0
+        return len(open_parameters(known.current.x, self._hypotheses.x, known.axes)) > 0
 
     def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
         """Copies (n, d) of the incumbent; every second one differs in a single parameter."""
-        x, others = known.copies(n), self._hypotheses.x
-        opened = self._open(known)
-        if not opened:
-            return x
-        singles = rng.permutation(np.arange((n + 1) // 2))
-        for i, row in enumerate(x[::2]):
-            axes, values = opened[singles[i] % len(opened)]
-            strata = -(-len(singles) // len(opened))  # draws of this parameter, one from each
-            quantile = (singles[i] // len(opened) + rng.random()) / strata
-            row[axes] = values[min(int(quantile * len(values)), len(values) - 1)]
-        for row in x[1::2]:
-            other = others[rng.integers(len(others))]
-            some = rng.random(len(opened)) < 0.5
-            some[rng.choice(len(opened), min(2, len(opened)), replace=False)] = True
-            for axes, _ in (one for one, taken in zip(opened, some, strict=True) if taken):
-                row[axes] = other[axes]
-        return x
-
-    def _open(self, known: Known) -> list[tuple[Indices, Float64]]:
-        """Parameters that are open: axes, and what (m, axes) hypotheses have there, sorted."""
-        x = self._hypotheses.x
-        apart = known.axes.difference(x, known.current.x)
-        parameters = known.axes.axes_of
-        agree = np.column_stack([apart[:, axes].max(axis=1) <= _AGREE for axes in parameters])
-        opened = []
-        for i, axes in enumerate(parameters):
-            others = agree.sum(axis=1) - agree[:, i]
-            nearest = np.argsort(-others, kind="stable")[: max(1, int(_AGREEING * len(x)))]
-            differ = nearest[~agree[nearest, i]]
-            if len(differ) >= _OPEN_SHARE * len(nearest):
-                values = x[differ][:, axes]
-                opened.append((axes, values[np.lexsort(values.T[::-1])]))
-        return opened
+        x, others = known.current.x, self._hypotheses.x
+        return mixed_with(x, others, open_parameters(x, others, known.axes), n, rng)
 
     def begin_at(self, known: Known, x: Float64) -> Start:
         """Wide in what was drawn, narrow in what was found before."""

@@ -7,7 +7,6 @@ unit cube that is rendered.  The maps between them are those of `mixed`.
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -15,7 +14,7 @@ import numpy as np
 
 from fide_plugins.options import Options
 from fide_plugins.population import Candidate, mirrored_pair, search_columns
-from fide_plugins.runtime.schema import Schema, Sides, Stateful, anything, each, real, side
+from fide_plugins.runtime.schema import Plain, Schema, Sides, Stateful, anything, each, real, side
 from fide_plugins.search.cma_es import CMAES
 from fide_plugins.search.mixed import Mixed, closest, inside, into
 from fide_plugins.search.moves import Start
@@ -60,7 +59,7 @@ def is_hopeless(history: list[float], goal: float) -> bool:
 
 
 @dataclass
-class Termination:
+class Termination(Stateful):
     """When one search is over.
 
     Guided by images, it is over when it has *stalled* (`has_stalled`), *collapsed* (it is a
@@ -76,6 +75,7 @@ class Termination:
     history: best loss after each of the last generations, as many as are needed.
     """
 
+    SCHEMA: ClassVar[dict[str, Schema]] = {"history": each(real(high=np.inf))}
     sigma0: float | Float64
     patience: int
     improvement: float
@@ -92,22 +92,23 @@ class Termination:
         strict = round(_STRICT_PATIENCE * self.patience)
         del self.history[: -1 - max(strict, self.loss_only_patience, _BENEFIT_OF_DOUBT)]
 
-    def is_over(self, std: Float64, *, guided: bool = True) -> bool:
+    def is_over(self, std: Float64, *, guided: bool = True, floor: float = 0.0) -> bool:
         """Whether to begin another search; guided: whether images guide it.
 
-        std: (d,), of the search distribution.
+        std: (d,), of the search distribution.  floor: loss that no candidate removes.
         """
         if not guided:
             converged = bool((std < _CONVERGED * self.sigma0).all())
             return converged or has_stalled(self.history, self.loss_only_patience, 0.0)
         narrowest = _TO_THE_END if self.to_the_end else _COLLAPSED
+        above = [loss - floor for loss in self.history]
         strict = bool(self.history and self.history[-1] > self.strict_above)
         progress = self.patience, self.improvement
         if strict:
             progress = round(_STRICT_PATIENCE * self.patience), _STRICT_IMPROVEMENT
         return (
             bool((std < narrowest * self.sigma0).all())
-            or has_stalled(self.history, *progress)
+            or has_stalled(above, *progress)
             or is_hopeless(self.history, self.goal)
         )
 
@@ -146,7 +147,7 @@ class Search(Stateful):
         "popsize": side("popsize"),
         "distribution": anything,  # which checks its own
         "mixed": anything,
-        "history": each(real(high=np.inf)),
+        "termination": anything,
     }
 
     def __init__(self, start: Start, goal: float, setting: Setting) -> None:
@@ -171,15 +172,6 @@ class Search(Stateful):
             strict_above=np.inf if start.strict_above is None else start.strict_above,
             to_the_end=start.to_the_end,
         )
-
-    @property
-    def history(self) -> list[float]:
-        """Best loss after each of the last generations."""
-        return self.termination.history
-
-    @history.setter
-    def history(self, history: list[float]) -> None:
-        self.termination.history = history
 
     @property
     def mean(self) -> Float64:
@@ -285,9 +277,7 @@ class Search(Stateful):
             self._mixed.correct(self.distribution)
         self.distribution.mean = self._with_fixed(self.distribution.mean)
 
-    def load_state_dict(
-        self, state: Mapping[str, Any], sides: Sides | None = None, device: Any = None
-    ) -> None:
+    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
         """Go on where `state_dict` was taken; ValueError if it is none."""
         if (state.get("mixed") is None) != (self._mixed is None):
             raise ValueError("search['mixed'] is not of this space")

@@ -12,11 +12,12 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from torch import Tensor, device
+from torch import Tensor
 
 from fide_plugins.population import TrainingSample
 from fide_plugins.runtime.schema import (
     GENERATOR,
+    Plain,
     Schema,
     Sides,
     Stateful,
@@ -249,6 +250,12 @@ class MovePolicy:
         return self.move == Coarsen.name
 
     @property
+    def begins_soft(self) -> bool:
+        """Whether the search that follows descents begins at the least blur."""
+        hypotheses = self.hypotheses
+        return self.stage is Stage.SEARCH and hypotheses is not None and hypotheses.are_foreign
+
+    @property
     def _the_move(self) -> Move:
         assert self.move is not None
         return self._moves[self.move]
@@ -263,7 +270,9 @@ class MovePolicy:
         guided: whether images say where to go on.
         """
         self.guided, known = guided, self.known
-        if self.hypotheses is not None and self.hypotheses.waiting:
+        if self.hypotheses is not None and (
+            self.hypotheses.waiting or (self.descends and self.hypotheses.available and guided)
+        ):
             self._after_hypothesis(self.hypotheses, found, evaluations)
         elif found is None or not guided:
             known.incumbent, self.guided = None, False
@@ -296,7 +305,10 @@ class MovePolicy:
             if helped and self._moves["resample"].possible(self.known):
                 self.stage, self.move = Stage.RESTART, "resample"
                 return
-        self._begin_at_hypothesis(hypotheses)
+        if hypotheses.waiting:
+            self._begin_at_hypothesis(hypotheses)
+        else:
+            self._choose()
 
     def _note_end(self, found: TrainingSample, evaluations: int) -> None:
         """Note what the move brought, and who is the incumbent."""
@@ -389,7 +401,7 @@ class MovePolicy:
         if self.stage is Stage.DESCENT:
             self._descend(samples, known.target if target is None else target)
         elif self.stage is Stage.RESTART and self._the_move is self.hypotheses:
-            found = [(sample.loss, sample.x) for sample in samples]
+            found = self.hypotheses.before + [(sample.loss, sample.x) for sample in samples]
             self.hypotheses.learn(found, best, known.exchangeability.distance)
             if self.descends and found:
                 self.begin_descents(found)
@@ -412,8 +424,17 @@ class MovePolicy:
             self.stage = Stage.RESTART
 
     def begin_descents(self, found: Sequence[tuple[float, Float64]]) -> None:
-        """Begin descents at the best of points that were found, as loss and x (d,)."""
-        self._need_descents().begin(found)
+        """Begin descents at the best of points that were found, as loss and x (d,).
+
+        With a model the best is completed first.
+        """
+        hypotheses, spread = self.hypotheses, None
+        if hypotheses is not None and hypotheses.available:
+            if hypotheses.complete(found, self.known):
+                self.stage, self.move = Stage.RESTART, hypotheses.name
+                return
+            spread = hypotheses.spread(min(found, key=lambda one: one[0])[1], self.known)
+        self._need_descents().begin(found, spread)
         self.stage = Stage.DESCENT
 
     def _descend(self, samples: Sequence[TrainingSample], target: Tensor) -> None:
@@ -467,9 +488,7 @@ class MovePolicy:
             **{name: getattr(self.known, name).state_dict() for name in _PARTS},
         }
 
-    def load_state_dict(
-        self, state: Mapping[str, Any], sides: Sides | None = None, device: device | None = None
-    ) -> None:
+    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
         """Put back what `state_dict` gave, tokens on the device; ValueError if it is none."""
         known = self.known
         (tokens, channels), d = known.target.shape, known.dim

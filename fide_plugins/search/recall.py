@@ -1,7 +1,7 @@
 """Where the search for another picture begins, from what was rendered for earlier ones.
 
-It begins at the candidate b whose image is nearest to the new picture, as wide as those remembered
-candidates say whose images differ from that of b by what is wrong with it.
+At the candidate b whose image is nearest to it, as wide as those candidates say whose images differ
+from that of b by what is wrong with it.
 """
 
 from __future__ import annotations
@@ -108,6 +108,6 @@ def _hypotheses(x: Float64, distances: Float64, known: Known) -> Float64:
     for row in x[near[1:]]:
         if len(found) == _HYPOTHESES:
             break
-        if min(known.exchangeability.distance(row, one) for one in found) >= APART:
+        if min(known.exchangeability.distance(row, one, APART) for one in found) >= APART:
             found.append(row)
     return np.array(found)

@@ -35,8 +35,6 @@ from fide_plugins.types import Float64
 if TYPE_CHECKING:
     from fide_plugins.space.space import Space
 
-__all__ = ["Constraints", "Expression", "constraints_not_stored", "constraints_of", "sample_of"]
-
 _LONGEST = 1000  # characters of a text
 _VIOLATED = 1.0  # by how much, where there is no number
 _LEAST = 1e-12  # such as of a < b where they are equal

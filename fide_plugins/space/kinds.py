@@ -16,8 +16,6 @@ from typing import Any, ClassVar, NamedTuple, TypeAlias
 from fide_plugins.errors import SpaceError
 from fide_plugins.validation.points import as_real, as_whole
 
-__all__ = ["Choice", "Float", "Int", "Kind", "Scale"]
-
 _MOST_CELLS = 2**40  # of an axis; beyond, doubles do not tell the cells of a logarithmic axis apart
 _LARGEST_INT = 2**44  # beyond, doubles do not tell the ends of cells well apart, nor logarithms
 _MOST_CHOICES = 1000
@@ -145,8 +143,8 @@ class Float(_Number):
         self._convert(as_real, sys.float_info.max, "a finite number", *names)
         rule = "periodic must be true or false, without quotes"
         self._require(isinstance(self.periodic, bool), rule)
-        rule = "log, periodic and step do not go together; drop all but one"
-        self._require([bool(self.log), self.periodic, self.step is not None].count(True) <= 1, rule)
+        several = bool(self.log) + self.periodic + (self.step is not None)
+        self._require(several <= 1, "log, periodic and step do not go together; drop all but one")
         self._check()
 
     def value(self, number: float) -> float:

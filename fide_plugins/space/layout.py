@@ -18,8 +18,6 @@ import numpy as np
 from fide_plugins.space.kinds import Float, Kind
 from fide_plugins.types import Float64, Indices, Mask
 
-__all__ = ["Layout"]
-
 _CHOSEN, _NOT_CHOSEN = 0.75, 0.25  # coordinates of a choice, in the middle of their halves
 
 
@@ -47,10 +45,9 @@ class Layout:
         self.periodic[self._axis] = [isinstance(k, Float) and k.periodic for k in self._of(kinds)]
         self.wrapped: Mask | None = self.periodic if self.periodic.any() else None
         scales = [kind.scale for kind in self._of(kinds)]
-        self._low, self._high, self._step = (
-            np.array([scale[i] for scale in scales], np.float64) for i in range(3)
-        )
-        self._log = np.array([scale.log for scale in scales], bool)
+        columns = np.array(scales, np.float64).reshape(-1, 4).T
+        self._low, self._high, self._step = (column.copy() for column in columns[:3])
+        self._log = columns[3] > 0
         self._any_log, self._any_step = bool(self._log.any()), bool(self._step.any())
         self._bottom = self._scaled(self._low - self._step / 2)
         self._length = self._scaled(self._high + self._step / 2) - self._bottom

@@ -1,9 +1,4 @@
-"""A space of named parameters: dictionaries of physical values <-> points of the unit cube.
-
-As plain data, for JSON and TOML: {"azimuth": {"type": "float", "low": -60.0, "high": 60.0},
-"beads": {"repeat": 6, "x": {...}}}.  What has a key besides tables and "repeat" is a parameter, all
-else is a group.  Without a "type" it is a choice if it has "values", and else a float.
-"""
+"""A space of named parameters: dictionaries of physical values <-> points of the unit cube."""
 
 from __future__ import annotations
 
@@ -22,8 +17,6 @@ from fide_plugins.space.kinds import Choice, Kind
 from fide_plugins.space.layout import Layout
 from fide_plugins.types import Float64, Mask
 from fide_plugins.validation.points import as_point, as_points, as_whole
-
-__all__ = ["Group", "Leaf", "Member", "Params", "Repeated", "Space"]
 
 Params = dict[str, Any]
 
@@ -318,8 +311,7 @@ class Space(_Constant):
         """
         one = np.ndim(X) == 1  # type: ignore[arg-type]
         snapped = self.layout.snap(as_points([X] if one else X, self.dim))
-        point: Float64 = snapped[0] if one else snapped
-        return point
+        return snapped.reshape(-1) if one else snapped
 
     # -- as data -----------------------------------------------------------------------------------
 
@@ -338,11 +330,10 @@ class Space(_Constant):
         Raises SpaceError, naming table and key.
         """
         constraints = data.get(_CONSTRAINTS) if isinstance(data, Mapping) else None
-        if constraints is None:
-            return cls(_members_from(data))
-        _expressions(constraints)  # it may be meant as a parameter, perhaps the only one
-        members = {key: value for key, value in data.items() if key != _CONSTRAINTS}
-        return cls(_members_from(members), constraints=constraints)
+        if constraints is not None:
+            _expressions(constraints)  # it may be meant as a parameter, perhaps the only one
+            data = {key: value for key, value in data.items() if key != _CONSTRAINTS}
+        return cls(_members_from(data), constraints=constraints)
 
     @classmethod
     def from_toml(cls, text: str) -> Self:
@@ -370,10 +361,8 @@ class Space(_Constant):
     # -- as a value --------------------------------------------------------------------------------
 
     def __repr__(self) -> str:
-        words = [
-            name + (f"[{member.times}]" if isinstance(member, Repeated) else "")
-            for name, member in self._members.items()
-        ]
+        times = {k: m.times for k, m in self._members.items() if isinstance(m, Repeated)}
+        words = [f"{k}[{times[k]}]" if k in times else k for k in self._members]
         if len(words) > 8:
             words = [*words[:6], "...", words[-1]]
         return f"Space({', '.join(words)}; dim {self.dim})"
@@ -383,9 +372,13 @@ def _expressions(given: object) -> tuple[Expression, ...]:
     """Constraints of a space as the user gives them; raises SpaceError."""
     if given is None:
         return ()
-    if not isinstance(given, Mapping) or given.get("type") in ("float", "int", "choice"):
-        raise SpaceError(_NO_PARAMETER)
-    if any(isinstance(text, Mapping) or not isinstance(name, str) for name, text in given.items()):
+    if (
+        not isinstance(given, Mapping)
+        or given.get("type") in _KINDS
+        or any(
+            isinstance(text, Mapping) or not isinstance(name, str) for name, text in given.items()
+        )
+    ):
         raise SpaceError(_NO_PARAMETER)
     return tuple(Expression(name, text) for name, text in given.items())
 
@@ -434,6 +427,11 @@ def _numbers(members: Mapping[str, Member], params: object, prefix: str) -> Iter
 
 
 # -- plain data ------------------------------------------------------------------------------------
+#
+# {"azimuth": {"type": "float", "low": -60.0, "high": 60.0}, "beads": {"repeat": 6, "x": {...}}}
+#
+# What has a key besides tables and "repeat" is a parameter, all else is a group.  Without a "type"
+# it is a choice if it has "values", and else a float.
 
 
 def _as_data(members: Mapping[str, Member], prefix: str = "") -> dict[str, Any]:
@@ -488,8 +486,7 @@ def _member(table: str, data: object) -> Member:
         if any(not isinstance(value, Mapping) for value in inner.values()):
             return _parameter(data)
         if not inner:
-            rule = f"is empty; write low = 0, high = 1 below it, or tables [{table}.NAME]"
-            raise SpaceError(rule)
+            raise SpaceError("is empty; write low = 0, high = 1 below it, or tables of its own")
         group = Group({key: _member(f"{table}.{key}", value) for key, value in inner.items()})
         return group * data["repeat"] if "repeat" in data else group
     except SpaceError as error:

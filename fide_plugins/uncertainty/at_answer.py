@@ -59,11 +59,11 @@ def deviations_at(
     slopes: (p, H, W, C) of each view, change of its image with a parameter over the unit cube.
     residuals: (H, W, C) of each view, target minus image.  Both are weighted.
     images: (H, W, C) of each view, not weighted; weights: (H, W, C), by which differences are.
-    together: of each view, k, where its pixels are means of k x k pixels already.
+    together: of each view, k, where its pixels are means of k x k pixels.
     """
     means_of = [1] * len(slopes) if together is None else together
     arrays = zip(slopes, residuals, images, weights, means_of, strict=True)
-    views = [_small(*one, together=k) for *one, k in arrays]
+    views = [_view(*one, together=k) for *one, k in arrays]
     p = len(slopes[0])
     J = np.concatenate([view.slopes.reshape(p, -1) for view in views], axis=1)
     r = np.concatenate([view.residual.ravel() for view in views])
@@ -107,13 +107,12 @@ def means(pixels: Float64, k: int) -> Float64:
     return reduced
 
 
-def _small(*arrays: Float64, together: int) -> _View:
-    """The same in means of k x k pixels, and in one color where all are equal."""
+def _view(*arrays: Float64, together: int) -> _View:
+    """The same in one color where all are equal."""
     if all((one == one[..., :1]).all() for one in arrays):
         arrays = tuple(one[..., :1] for one in arrays)
-    k = pixels_together(len(arrays[0]), *arrays[1].shape)
-    slopes, residual, image, weights = (means(one, k) for one in arrays)
-    return _View(slopes, residual, image, weights, _ROUNDING / (k * together) ** 2)
+    slopes, residual, image, weights = arrays
+    return _View(slopes, residual, image, weights, _ROUNDING / together**2)
 
 
 def _correlated(view: _View) -> Float64:

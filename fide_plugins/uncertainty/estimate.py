@@ -1,7 +1,11 @@
-"""The standard deviations of one solution, by the samples that were known when it was read."""
+"""The standard deviations of one solution, by the samples that were known when it was read.
+
+Samples are known by their *rows* among the n of `Surroundings`, which are in the order of asking.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -9,36 +13,176 @@ import numpy as np
 from scipy.spatial.distance import cdist
 from torch import Tensor
 
-from fide_plugins.population import TrainingSample
+from fide_plugins.population import TrainingSample, in_order
 from fide_plugins.runtime.threads import one_thread
+from fide_plugins.search import mixed
 from fide_plugins.search.mixed import Axes
 from fide_plugins.types import OPEN, Estimated, Float64, Indices, Mask
 from fide_plugins.uncertainty.local_fit import (
     NO_EFFECT,
     WIDER,
     FitToTarget,
-    deviations,
+    covariance,
     fit_locally,
     noise_of,
 )
-from fide_plugins.uncertainty.samples import (
-    Surroundings,
-    compressed,
-    features_of,
-    floored,
-    independent,
-    most_alike,
-    surroundings,
-)
-
-# -- samples as good -------------------------------------------------------------------------------
-
 
 _ODDS = 4.0  # twice the logarithm of the likelihood ratio up to which both may be true
 _LUCK = 4.0  # standard deviations of what noise of the renders changes; the best had luck
 _ROUNDING = (1 / 255) ** 2 / 12  # mean squared error of 8 bits
 _MOST = 600  # samples that are compared with each other
 _SAME = 1e-9  # of the largest change of the image: neither is better
+_DECIMALS = 6  # of a feature, in single precision
+
+
+def features_of(tokens: Sequence[Tensor], channels: int | None) -> Float64:
+    """(n, f), of n times tokens (T, C); so many leading channels count, None: all."""
+    rows = [one.detach()[..., :channels].cpu().numpy().ravel() for one in tokens]
+    return np.array(rows, np.float64)
+
+
+def independent(target: Float64, tokens: int, features: Float64) -> int:
+    """How many features of the target (f,), so many tokens, are independent, at least one.
+
+    Channels that are equal in all tokens count once, but never less than a third of them: a gray
+    picture has three equal colors, and its noise is the same in each.  Tokens that equal the
+    target's in all samples do not count: a mask hides them.
+
+    features: (n, f), of samples.
+    """
+    channels = np.round(target.reshape(tokens, -1).T, _DECIMALS)
+    different = max(len(np.unique(channels, axis=0)), math.ceil(len(channels) / 3))
+    apart = np.abs(features - target).max(axis=0)
+    shown = (apart.reshape(tokens, -1) > 10**-_DECIMALS).any(axis=1)
+    return max(1, int(shown.sum())) * different
+
+
+_NEAREST, _EACH = 320, 6  # samples, or so many a parameter: noise widens what fewer say
+_FEWEST = 2.0  # samples a parameter, and a few more
+_FEW_MORE = 10
+_COORDINATE = 1e-6  # of a coordinate that came back in single precision
+_DIGITS = 1e-10  # of the energy of the image: 100 times its last digits, in single precision
+_APART = 0.05  # of the cube: farther away than that no image is the solution's
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """The samples of a run, as seen from a solution.
+
+    points: (n, d), with blocks in the order of those of the solution; matched: (n,), where these
+        could be matched.
+    other: (n, d), coordinates of integers and choices that have another value; own: (m,), rows of
+        the matched samples in which none has.
+    u: (n, d), steps from the solution, the shorter way around.
+    free: (d,), axes of numbers; p of them; periodic: (p,), which of these wrap around, or None.
+    features: (n, f), of their images; distances: (n,), squared, of these from those of the own
+        sample at the solution, which is in row `at`.
+    """
+
+    points: Float64
+    matched: Mask
+    other: Mask
+    own: Indices
+    u: Float64
+    free: Mask
+    periodic: Mask | None
+    features: Float64
+    distances: Float64
+    at: int
+
+    def steps(self, rows: Indices) -> Float64:
+        """Steps (m, p) to the samples in these rows (m,), on the axes of numbers."""
+        return self.u[rows][:, self.free]
+
+
+def surroundings(
+    x: Float64,
+    samples: Sequence[TrainingSample],
+    channels: int | None,
+    axes: Axes,
+    discrete: Mask | None,
+    blocks: Indices | None,
+) -> Surroundings | None:
+    """Of a solution x (d,); None if too few samples are its own, or none of them lies there.
+
+    The arguments are those of `LocalEstimate`.
+    """
+    free = np.ones(len(x), bool) if discrete is None else ~discrete
+    if not free.any() or len(samples) < _least(free):
+        return None
+    samples = in_order({(one.index, one.x.tobytes()): one for one in samples}.values())
+    points, matched = aligned(np.array([sample.x for sample in samples]), x, blocks, axes)
+    other = (np.abs(points - x) >= _COORDINATE) & ~free
+    own = matched & ~other.any(axis=1)
+    u = mixed.shorter(points - x, axes.periodic)
+    away = np.where(own, np.abs(u).max(axis=1), np.inf)
+    at = int(np.argmin(away))
+    if own.sum() < _least(free) or away[at] > _APART:
+        return None
+    features = features_of([sample.tokens for sample in samples], channels)
+    return Surroundings(
+        points=points,
+        matched=matched,
+        other=other,
+        own=np.flatnonzero(own),
+        u=u,
+        free=free,
+        periodic=None if axes.periodic is None else axes.periodic[free],
+        features=features,
+        distances=np.square(features - features[at]).sum(axis=1),
+        at=at,
+    )
+
+
+def most_alike(around: Surroundings, missed: float) -> Indices:
+    """Rows of the own samples whose images are most like the solution's, in the order of asking.
+
+    missed: squared, by how much the solution misses the target.
+
+    A search may converge farther than single precision tells.  Samples of which only the last
+    digits differ do not count where the target is missed by more, if enough others are left.
+    """
+    least = _DIGITS * float(np.square(around.features[around.at]).sum())
+    rows = around.own[(around.distances[around.own] >= least) | (around.own == around.at)]
+    if missed <= least or len(rows) < _least(around.free):
+        rows = around.own
+    number = max(_NEAREST, _EACH * int(around.free.sum()))
+    return np.sort(rows[np.argsort(around.distances[rows], kind="stable")[:number]])
+
+
+def _least(free: Mask) -> int:
+    """How many samples an estimate needs at least."""
+    return int(_FEWEST * free.sum()) + _FEW_MORE
+
+
+_NUMBERS = 2**22  # differences of blocks that are held at once
+
+
+def aligned(
+    points: Float64, x: Float64, blocks: Indices | None, axes: Axes
+) -> tuple[Float64, Mask]:
+    """Points (n, d) with their blocks in the order of those of x (d,); which could be matched.
+
+    Each block of a point belongs to the nearest one of x; it can be matched if they all differ.
+    """
+    if blocks is None:
+        return points, np.ones(len(points), bool)
+    step = max(1, _NUMBERS // (blocks.size * len(blocks)))
+    chunks = [points[i : i + step] for i in range(0, len(points), step)]
+    parts = [_aligned(chunk, x, blocks, axes) for chunk in chunks]
+    return np.concatenate([p for p, _ in parts]), np.concatenate([kept for _, kept in parts])
+
+
+def _aligned(points: Float64, x: Float64, blocks: Indices, axes: Axes) -> tuple[Float64, Mask]:
+    """As `aligned`, of as many points as memory holds."""
+    own = points[:, blocks]  # (n, blocks, L)
+    costs = axes.difference(own[:, :, None], x[blocks], blocks).max(axis=3)  # (n, own, of x)
+    places = costs.argmin(axis=2)  # (n, own)
+    which: Mask = (np.sort(places, axis=1) == np.arange(len(blocks))).all(axis=1)
+    sources = np.argsort(places, axis=1)[..., None]  # the block that belongs to each of x
+    ordered = points.copy()
+    ordered[:, blocks] = np.take_along_axis(own, sources, axis=1)
+    return np.where(which[:, None], ordered, points), which
 
 
 def limits(around: Surroundings, missed: Float64, model: FitToTarget, std: Float64) -> Float64:
@@ -96,9 +240,6 @@ def _apart(u: Float64, which: Mask, periodic: Mask | None) -> Float64:
     return apart
 
 
-# -- the estimate ----------------------------------------------------------------------------------
-
-
 @dataclass(eq=False)
 class LocalEstimate:
     """How sure the parameters of a solution are, computed when it is first read.
@@ -153,8 +294,9 @@ class LocalEstimate:
         missed = np.square(around.features - target).sum(axis=1)
         near = most_alike(around, float(missed[around.at]))  # 1
         model = self._fit(around, target, near)  # 2
-        as_far = limits(around, missed, model, deviations(model))  # 3
-        std[around.free] = deviations(model._replace(as_far=as_far))
+        alone = np.sqrt(np.diag(covariance(model)))
+        model = model._replace(as_far=limits(around, missed, model, alone))  # 3
+        std[around.free] = np.sqrt(np.diag(covariance(model)))
         # another value of which an image is as good to 8 bits, or within the noise of the target
         least = _ROUNDING * around.features.shape[1]
         good = missed <= max(missed[around.at] + _as_good(model), least)
@@ -165,7 +307,12 @@ class LocalEstimate:
     def _fit(self, around: Surroundings, target: Float64, near: Indices) -> FitToTarget:
         """The linear model of the samples `near` (m,)."""
         f = independent(target, len(self.target), around.features)
-        e, target = compressed(around.features[near], target)
-        fit = fit_locally(around.steps(near), e, floored(around.distances[near]))
+        e, distances = around.features[near], around.distances[near]
+        if e.shape[1] > 2 * (len(e) + 1):  # the few directions that they span: equal products
+            rows: Float64 = np.asarray(np.linalg.qr(np.vstack([e, target]).T, mode="r")).T
+            e, target = rows[:-1], rows[-1]
+        moved = distances[distances > 0]  # that of the solution from itself is as small as the next
+        distances = np.maximum(distances, moved.min() if len(moved) else 1.0)
+        fit = fit_locally(around.steps(near), e, distances)
         farthest = float(around.distances[around.own].max())
         return FitToTarget(fit, target, f, farthest)

@@ -1,7 +1,6 @@
 """A linear model of the features around one solution, and the covariance that follows from it.
 
-Notation: u (n, d), parameters minus those of the solution; e (n, f), features; J (d, f), with
-e ~ a + (u - m) J; D (n,), squared distance of the features from those of the solution.
+u (n, d): parameters minus the solution's; e (n, f): features ~ a + (u - m) J; D (n,): |e - e0|^2.
 """
 
 from __future__ import annotations
@@ -14,9 +13,6 @@ import numpy as np
 from scipy.special import fdtri
 
 from fide_plugins.types import Float64, Mask
-
-# -- linear model ----------------------------------------------------------------------------------
-
 
 _ROUNDS = 3  # of weights
 _RIDGE = 1e-4  # of each parameter's own sum of squares
@@ -155,7 +151,9 @@ def _regress(u: Float64, e: Float64, weights: Float64) -> _Regression:
     u, spread = np.where(still, 0.0, u), np.where(still, 1.0, spread)
     u = u / spread
     weighted = u * weights[:, None]
-    normal = _ridged(weighted.T @ u)
+    normal = weighted.T @ u
+    diagonal = np.diag(normal)  # solvable, also with parameters that never moved
+    normal = normal + np.diag(np.where(diagonal > 0, _RIDGE * diagonal, 1.0))
     P = np.linalg.solve(normal, weighted.T)  # (d, n)
     leverages = np.einsum("nd,dn->n", u, P)
     return _Regression(center, origin, spread, P @ e, u, e, weighted, normal, shares, leverages)
@@ -176,16 +174,6 @@ def _jackknife(found: _Regression) -> Float64:
     return scaled
 
 
-def _ridged(normal: Float64) -> Float64:
-    """Normal equations (d, d) that can be solved: also of parameters that never moved."""
-    diagonal = np.diag(normal)
-    ridged: Float64 = normal + np.diag(np.where(diagonal > 0, _RIDGE * diagonal, 1.0))
-    return ridged
-
-
-# -- resolution ------------------------------------------------------------------------------------
-
-
 _RESOLVED = 1.1  # times its error, from which on J J^T is more than that
 _CHANCE = 0.99  # quantile of the ratio up to which it may be chance
 _SMALL = 1e-9  # of the mean energy of J, which is the least error
@@ -201,21 +189,6 @@ class _Directions(NamedTuple):
     slopes: Float64
     ratios: Float64
     chance: Mask
-
-
-def information(fit: LocalFit) -> Float64:
-    """J J^T (d, d) without its error, in the directions in which it exceeds that."""
-    found = _directions(fit)
-    known = np.where(found.ratios > _RESOLVED, found.ratios - 1, 0.0)
-    energy: Float64 = (found.slopes * known) @ found.slopes.T
-    return energy
-
-
-def unresolved(fit: LocalFit) -> Float64:
-    """Orthonormal directions (d, k), k >= 0, of which `information` says nothing."""
-    found = _directions(fit)
-    steps: Float64 = np.linalg.qr(found.steps[:, found.ratios <= _RESOLVED])[0]
-    return steps
 
 
 def unseen(fit: LocalFit, most: float, rounding: float) -> Float64:
@@ -268,9 +241,6 @@ def _quantiles(changes: Float64) -> Float64:
     return quantiles
 
 
-# -- covariance ------------------------------------------------------------------------------------
-
-
 _BOX = 12.0  # one over the variance of the uniform law on [0, 1]
 WIDER = 5.0
 NO_EFFECT = 1e-3  # of the largest change of the image in the run, squared: 3 % of it
@@ -290,18 +260,19 @@ def covariance(model: FitToTarget) -> Float64:
     """
     fit, d = model.fit, len(model.fit.J)
     steps = unseen(fit, NO_EFFECT * model.farthest, _rounding(model))
-    rest = unresolved(fit)
-    known = information(fit) / scale_of(model) + _reach(fit.cloud, rest)
+    found = _directions(fit)
+    resolved = found.ratios > _RESOLVED  # J J^T exceeds its error there
+    energy = (found.slopes * np.where(resolved, found.ratios - 1, 0.0)) @ found.slopes.T
+    rest = np.linalg.qr(found.steps[:, ~resolved])[0]
+    known = energy / scale_of(model) + _reach(fit.cloud, rest)
     along = np.eye(d) - steps @ steps.T
     precision = along @ known @ along + _BOX * np.eye(d)
     if model.as_far is not None:
-        precision += _limits(model.as_far, np.hstack([steps, rest]))
+        # how far away the truth may be counts in the span of both
+        vectors, sizes, _ = np.linalg.svd(np.hstack([steps, rest]), full_matrices=False)
+        projector = vectors[:, sizes > _SAME] @ vectors[:, sizes > _SAME].T
+        precision += (projector / np.maximum(model.as_far, _NEAREST) ** 2) @ projector
     return _inverse(precision)
-
-
-def deviations(model: FitToTarget) -> Float64:
-    """Standard deviations (d,), in units of the unit cube."""
-    return np.asarray(np.sqrt(np.diag(covariance(model))))
 
 
 def _inverse(precision: Float64) -> Float64:
@@ -323,16 +294,6 @@ def _reach(cloud: Float64, steps: Float64) -> Float64:
     wider = WIDER**2 * cloud
     wider += 1e-12 * (1 + float(np.trace(wider)) / d) * np.eye(d)
     precision: Float64 = steps @ np.linalg.solve(steps.T @ wider @ steps, steps.T)
-    return precision
-
-
-def _limits(as_far: Float64, steps: Float64) -> Float64:
-    """Precision (d, d) in the span of `steps` (d, k), by how far away the truth may be (d,)."""
-    limits = 1 / np.maximum(as_far, _NEAREST) ** 2
-    vectors, sizes, _ = np.linalg.svd(steps, full_matrices=False)
-    span = vectors[:, sizes > _SAME]
-    projector = span @ span.T
-    precision: Float64 = (projector * limits) @ projector
     return precision
 
 

@@ -1,7 +1,6 @@
 """Pixels of image files and PIL images, and image files of pixels.
 
-Pillow reads most files, OpenCV TIFF of float colors, Radiance HDR, and colors of 16 bits, of which
-Pillow keeps 8; the extra exr reads EXR.
+Pillow reads most; OpenCV TIFF of floats, HDR, colors of 16 bits; the extra exr reads EXR.
 """
 
 from __future__ import annotations
@@ -23,8 +22,8 @@ from fide_plugins.validation.values import MAX_PIXELS, Pixels, describe, typed
 
 _WIDENED = ("PNG", "PPM")  # formats of 16 bits, which Pillow may keep in 32
 _TIFF = (".tif", ".tiff")
-_LAYERED = ("MPO", "PSD")  # their first frame is the picture, the others belong to it
 _ORIENTATION = 0x0112  # EXIF
+_LAYERED = ("MPO", "PSD")  # their first frame is the picture, the others belong to it
 _LARGEST_16 = np.float32(65535)
 
 
@@ -107,7 +106,7 @@ def _by_opencv(path: str | os.PathLike[str], raw: bool) -> Pixels:
 
 
 def _by_openexr(name: str) -> Float32:
-    """Pixels (H, W) of Y, (H, W, 3) of RGB, (H, W, 4) of RGBA or YA in the first part of a file."""
+    """Pixels (H, W) of Y, (H, W, 3) of RGB, (H, W, 4) of RGBA in the first part of a file."""
     try:
         import OpenEXR
     except ImportError as error:
@@ -118,7 +117,7 @@ def _by_openexr(name: str) -> Float32:
             _check_size(int(right) - int(left) + 1, int(bottom) - int(top) + 1, repr(name))
         file.seek(0)
         channels = OpenEXR.File(file, separate_channels=True).channels()
-    names = next((one for one in ("RGBA", "RGB", "YA", "Y") if channels.keys() >= set(one)), "")
+    names = next((one for one in ("RGBA", "RGB", "Y") if channels.keys() >= set(one)), "")
     planes = [channels[one].pixels for one in names]
     floats = all(one.dtype in (np.float16, np.float32) for one in planes)
     if not names or not floats or len({one.shape for one in planes}) > 1:
@@ -128,12 +127,10 @@ def _by_openexr(name: str) -> Float32:
             "the array, such as OpenEXR.File(path).channels()[NAME].pixels"
         )
     pixels: Float32 = np.stack(planes, axis=-1).astype(np.float32)
-    if names[-1] == "A":  # a file has colors multiplied by their alpha
-        alpha = pixels[..., -1:]
+    if names == "RGBA":  # a file has colors multiplied by their alpha
         with np.errstate(over="ignore", invalid="ignore"):
-            np.divide(pixels[..., :-1], alpha, out=pixels[..., :-1], where=alpha > 0)
-    if names == "YA":
-        return pixels[..., [0, 0, 0, 1]]
+            colors, alpha = pixels[..., :3], pixels[..., 3:]
+            np.divide(colors, alpha, out=colors, where=alpha > 0)
     return pixels[..., 0] if names == "Y" else pixels
 
 
@@ -213,9 +210,6 @@ def encoded(image: Float32, suffix: str) -> bytes:
         got = f"an image of shape {pixels.shape}"
         raise ImageError(f"{suffix} cannot hold {got}: {e}; save it as .png or .tif") from e
     return buffer.getvalue()
-
-
-# -- pictures made smaller: each pixel is a mean of those that it covers, weighted by a mask -------
 
 
 def shrunk(

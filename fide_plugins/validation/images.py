@@ -1,20 +1,7 @@
-"""Converts and validates targets and renders.
+"""Converts targets and renders to C-contiguous float32 (H, W, 3) or (n, H, W, 3) in [0, 1].
 
-Inside the library all images are *canonical*: C-contiguous float32 NumPy arrays with values in
-[0, 1], `(H, W, 3)` for a target and `(n, H, W, 3)` for a batch.  The rules for all others:
-
-- values: uint8 [0, 255] and bool are scaled to [0, 1]; floats keep their values; other types are
-  refused, since their scale is unknown.  With a value range, [low, high] takes the place of [0, 1],
-  and all types are numbers as they are; alpha is a share still;
-- channels: none or 1, gray, repeated; 3, RGB; 4, RGBA, composited over white (a mask over black);
-- axes: channels last.  In a torch tensor channels may come first: if the first axis has 1, 3 or 4
-  entries and the other two fit the required size, if there is one;
-- outside [0, 1]: refused in a target; clipped in a batch, with a warning, unless it is rounding (up
-  to 1e-6).  Renders on another scale than the target are refused, see `values`;
-- NaN and infinity are refused;
-- hidden pixels, where a mask has zeros: NaN becomes 0, other values are clipped;
-- files, PIL images: turned upright (EXIF), palettes expanded, 16 bits divided by 65535, grays of 32
-  bits refused; of several frames the first, with a warning; at most `MAX_PIXELS` pixels.
+uint8, bool, floats; gray is repeated, RGBA put over white (a mask over black); channels last, or
+first in tensors.  Targets beyond [0, 1] and NaN are refused, renders clipped, see `values`.
 """
 
 from __future__ import annotations
@@ -52,9 +39,6 @@ CHANNELS = (1, 3, 4)  # gray, RGB, RGBA
 _VIEWS = "of several pictures make views: list(image), and let render return such a list"
 
 
-# -- public ----------------------------------------------------------------------------------------
-
-
 def as_target(
     target: object,
     *,
@@ -88,7 +72,8 @@ def as_pixels(image: object, what: str, raw: bool = False, size: Size | None = N
     Raises ImageError for types and axes that no image has, `ImageNotFoundError`.
     """
     array, is_tensor = _to_array(image, what, raw)
-    check_axes(array, what)
+    if array.ndim not in (2, 3):
+        raise _other_axes(array, what)
     pixels: Pixels = channels_last(array, 0, is_tensor, size, what)
     return pixels
 
@@ -189,9 +174,6 @@ def save(path: str | os.PathLike[str], image: Float32) -> None:
     Path(path).write_bytes(encoded(image, Path(path).suffix))
 
 
-# -- steps: to an array, channels last, unit range, three channels ---------------------------------
-
-
 def _list_as_batch(
     images: Sequence[object],
     size: Size | None,
@@ -279,15 +261,12 @@ def _canonical(
     return out
 
 
-def check_axes(pixels: Any, what: str) -> None:
-    """Raise ImageError unless the axes are those of one image."""
-    if pixels.ndim not in (2, 3):
-        remedy = f"; {_VIEWS}" if pixels.ndim == 4 else ""
-        if pixels.ndim == 4 and len(pixels) == 1:
-            remedy = "; take it out of its batch of one, image[0]"
-        raise ImageError(
-            f"{what} must have axes (H, W) or (H, W, C), got {describe(pixels)}{remedy}"
-        )
+def _other_axes(pixels: Any, what: str) -> ImageError:
+    """Error for axes that are not those of one image."""
+    remedy = f"; {_VIEWS}" if pixels.ndim == 4 else ""
+    if pixels.ndim == 4 and len(pixels) == 1:
+        remedy = "; take it out of its batch of one, image[0]"
+    return ImageError(f"{what} must have axes (H, W) or (H, W, C), got {describe(pixels)}{remedy}")
 
 
 def check_batch_axes(pixels: Any, size: Size | None, what: str) -> None:

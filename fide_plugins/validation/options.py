@@ -132,9 +132,6 @@ def check_schedule(schedule: Iterable[float]) -> tuple[float, ...]:
     return times
 
 
-# -- options on the command line: key=value --------------------------------------------------------
-
-
 def parse_key_value(text: str) -> tuple[str, Any]:
     """Key and value of ``key=value``, the value as bool, int, float or str, whichever fits first.
 

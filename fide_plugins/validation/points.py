@@ -115,21 +115,17 @@ def torch_seed(seed: object) -> int:
 _SMALLEST_STD = 1e-16  # a smaller one cannot change doubles near the center of the cube
 
 
-def standard_deviation(value: Any) -> float:
-    """`value` as a float; OptionError (a ValueError) unless it lies in [1e-16, 1]."""
-    number = as_real(value) or 0.0
-    if not _SMALLEST_STD <= number <= 1:
-        raise OptionError(f"sigma0 must lie in (0, 1], at least {_SMALLEST_STD}, not {value!r}")
-    return number
-
-
 def standard_deviations(value: Any, dim: int) -> float | Float64:
     """`value` as a float or as floats (dim,); OptionError unless all lie in [1e-16, 1]."""
-    if not isinstance(value, list | tuple) and np.ndim(value) == 0:
-        return standard_deviation(value.item() if hasattr(value, "item") else value)
-    if len(value) != dim:
+    single = not isinstance(value, list | tuple) and np.ndim(value) == 0
+    if not single and len(value) != dim:
         raise OptionError(f"sigma0 must be one number or {dim}, not {value!r}")
-    return np.array([standard_deviation(number) for number in value])
+    given = [value.item() if hasattr(value, "item") else value] if single else value
+    numbers = [as_real(one) or 0.0 for one in given]
+    for number, one in zip(numbers, given, strict=True):
+        if not _SMALLEST_STD <= number <= 1:
+            raise OptionError(f"sigma0 must lie in (0, 1], at least {_SMALLEST_STD}, not {one!r}")
+    return numbers[0] if single else np.array(numbers)
 
 
 def starting_point(value: object, dim: int, space: Any = None) -> Float64:

@@ -26,8 +26,6 @@ from fide_plugins.runtime.schema import Schema, array, check, maybe, real
 from fide_plugins.types import Float32, Float64
 from fide_plugins.views.views import DIGITS, View, Views
 
-__all__ = ["PixelNoise", "SameImages", "is_even_noise", "is_noise", "is_solved"]
-
 # -- all images are equal --------------------------------------------------------------------------
 
 _ENOUGH = 32  # candidates, which lie around the start, so that a parameter may show only elsewhere
@@ -181,7 +179,7 @@ class PixelNoise:
             return None
         asked = (image, target, self.variance)
         if list(map(id, self._last[0])) != list(map(id, asked)):  # `_last` keeps them alive
-            self._last = asked, self._left(image, target, self.variance)
+            self._last = asked, self._left(*asked)
         return self._last[1]
 
     def _left(self, image: Float32, target: Float32, variance: float) -> float | None:

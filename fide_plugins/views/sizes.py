@@ -6,15 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from fide_plugins.runtime.opencv import cv2
 from fide_plugins.types import Float32
 from fide_plugins.views.views import View, Views
-
-__all__ = ["enlarged", "reduced", "seen_at"]
 
 
 def reduced(views: Views, size: tuple[int, int]) -> Views:
     """Views of size (h, w): means of the pixels of each target, and of their weights."""
-    from fide_plugins.runtime.opencv import cv2
 
     def smaller(pixels: Any) -> Float32:
         made = cv2.resize(pixels, size[::-1], interpolation=cv2.INTER_AREA)
@@ -31,8 +29,6 @@ def reduced(views: Views, size: tuple[int, int]) -> Views:
 
 def enlarged(small: Views, views: Views, batch: Float32) -> Float32:
     """Renders (n, h, w, C) of small views, packed, with the size of the others, bilinearly."""
-    from fide_plugins.runtime.opencv import cv2
-
     parts = []
     for part, view in zip(small.split(batch), views.views, strict=True):
         size = view.size[::-1]

@@ -19,7 +19,6 @@ from fide_plugins.types import Float32, Float64, Mask
 from fide_plugins.validation.images import alpha_of, as_batch, as_pixels, as_target, is_image
 from fide_plugins.validation.values import (
     AUTO,
-    Clip,
     OnClip,
     Pixels,
     ValueRange,
@@ -27,18 +26,6 @@ from fide_plugins.validation.values import (
     restored,
     value_range_of,
 )
-
-__all__ = [
-    "ALPHA",
-    "DIGITS",
-    "View",
-    "Views",
-    "is_list_of_images",
-    "joined",
-    "one_a_view",
-    "read_weights",
-    "views_of",
-]
 
 ALPHA = "alpha"
 """In place of a mask: the alpha channel of the target."""
@@ -144,8 +131,7 @@ def joined(a: Float32 | None, b: Float32 | None, what: str) -> Float32 | None:
 
 def _hidden_by(weights: Float32) -> Mask | None:
     """Pixels (H, W) of weight 0; None if there are none."""
-    hidden: Mask = weights == 0
-    return hidden if hidden.any() else None
+    return None if weights.all() else weights == 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,8 +163,7 @@ class View:
     @cached_property
     def _roots(self) -> Float32:
         assert self.weights is not None
-        roots: Float32 = np.sqrt(self.weights)[..., None]
-        return roots
+        return np.sqrt(self.weights)[..., None]
 
     @cached_property
     def filled(self) -> Float32:
@@ -208,8 +193,7 @@ class View:
             return batch
         roots = self._roots
         with np.errstate(under="ignore"):  # a tiny difference times a weight
-            blended: Float32 = np.where(roots == 1, batch, t + roots * (batch - t))
-        return blended
+            return np.where(roots == 1, batch, t + roots * (batch - t))
 
     def difference(self, image: Float32, other: Float32) -> Float64:
         """Difference of two images, (H, W, 3), whose mean square is the weighted one."""
@@ -278,10 +262,10 @@ class Views:
         values = None if value_range is None else value_range_of(value_range)
         if isinstance(target, Views) and mask is None and weights is None and values is None:
             return target
-        listed, raw = is_list_of_images(target), values is not None
+        listed = is_list_of_images(target)
         if not listed and (is_list_of_images(mask) or is_list_of_images(weights)):
             raise ImageError("a list of masks or weights needs a list of targets, one for each")
-        pictures, given = _opened(target, raw), []
+        pictures, given = _opened(target, values is not None), []
         masks = one_a_view("mask", mask, target) if listed else [mask]  # type: ignore[arg-type]
         others = one_a_view("weights", weights, target) if listed else [weights]  # type: ignore[arg-type]
         for i, (pixels, one, other) in enumerate(zip(pictures, masks, others, strict=True)):
@@ -377,10 +361,8 @@ class Views:
             first = images[0] if self.listed and isinstance(images, list | tuple) else images
             n = len(first) if hasattr(first, "__len__") else 0
         if not self.listed:
-            hidden, values = self.views[0].hidden, self.values
-            return as_batch(
-                images, self.target.shape, n=n, on_clip=on_clip, hidden=hidden, values=values
-            )
+            hidden, values, size = self.views[0].hidden, self.values, self.target.shape
+            return as_batch(images, size, n=n, on_clip=on_clip, hidden=hidden, values=values)
         if isinstance(images, np.ndarray) and images.shape == (n, *self.target.shape):
             return as_batch(images, self.target.shape, n=n, on_clip=on_clip)  # packed
         if not isinstance(images, list | tuple) or len(images) != len(self.views):
@@ -391,20 +373,19 @@ class Views:
                 f"view, {self.sizes}; got {got}{shape}; renders candidate by candidate become that "
                 "by list(zip(*images))"
             )
-        batches = []
-        for i, (view, batch) in enumerate(zip(self.views, images, strict=True)):
+        made = [self._one_batch(i, batch, n, on_clip) for i, batch in enumerate(images)]
+        return self.pack(made, (n,))
 
-            def said(clip: Clip, i: int = i) -> None:
-                on_clip(clip.of_view(i))
-
-            try:
-                made = as_batch(
-                    batch, view.size, n=n, on_clip=said, hidden=view.hidden, values=self.values
-                )
-            except ImageError as error:
-                raise type(error)(f"view {i}: {error}") from error
-            batches.append(made)
-        return self.pack(batches, (n,))
+    def _one_batch(self, i: int, batch: object, n: int, on_clip: OnClip) -> Float32:
+        """Renders of one of several views; errors name it."""
+        view = self.views[i]
+        try:
+            return as_batch(
+                batch, view.size, n=n, on_clip=lambda clip: on_clip(clip.of_view(i)),
+                hidden=view.hidden, values=self.values,
+            )  # fmt: skip
+        except ImageError as error:
+            raise type(error)(f"view {i}: {error}") from error
 
     def split(self, batch: Float32) -> list[Float32]:
         """Renders (n, H, W, 3) of each view."""
@@ -468,8 +449,7 @@ class Views:
         if not self.listed:
             return pictures[0]
         flat = [one.reshape(*leading, -1, 1, one.shape[-1]) for one in pictures]
-        packed: Float32 = np.concatenate(flat, axis=len(leading))
-        return packed
+        return np.concatenate(flat, axis=len(leading))
 
     @classmethod
     def from_settings(cls, settings: Mapping[str, Any]) -> Views:

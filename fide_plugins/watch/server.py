@@ -1,7 +1,6 @@
 """Serves the page of one run directory, to this machine only.
 
-A page of the web can give 127.0.0.1 a name of its own (DNS rebinding) to read the answers, so a
-request must name the server as 127.0.0.1 or localhost, with its port, in the header Host.
+The header Host must name 127.0.0.1 or localhost: a page of the web may give us another name.
 """
 
 from __future__ import annotations

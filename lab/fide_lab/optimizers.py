@@ -9,8 +9,7 @@
 
 ``"nevergrad:NAME"`` and ``"optuna:NAME"`` are any optimizer of these frameworks, by the name that
 it has there; ``"FILE.py:NAME"`` and ``"module:NAME"`` one of the user's, see `baselines.own`.  In
-place of a name there may be a class or a function that makes an optimizer.  Importing this module
-imports none of them.
+place of a name there may be a class or a function that makes an optimizer.
 """
 
 from __future__ import annotations
@@ -90,11 +89,7 @@ def make(name: Named, dim: int | Space, target: object = None, **settings: Any) 
 
 
 def load(
-    name: str,
-    path: str | os.PathLike[str],
-    *,
-    device: str | None = None,
-    loss: object = None,
+    name: str, path: str | os.PathLike[str], *, device: str | None = None, loss: object = None
 ) -> Optimizer:
     """Optimizer `name` as it was saved at `path`.
 

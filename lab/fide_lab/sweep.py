@@ -1,8 +1,7 @@
 """A comparison over combinations of FIDE's options: loss for a cost, and their Pareto front.
 
 Losses during a run can be compared where images have no noise.  Otherwise a run counts only from
-its end, with the loss of its best candidate without noise.  A user's renderer has no image without
-noise; whether it is noisy is not known, and its losses count as seen.
+its end, with the loss of its best candidate without noise.
 """
 
 from __future__ import annotations

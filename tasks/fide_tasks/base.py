@@ -63,11 +63,11 @@ class Task(ABC):
     parameters: tuple[Parameter, ...]
 
     def __init__(
-        self, size: int | tuple[int, int] = 224, seed: int = 0, *, picture: ArrayLike | None = None
+        self, size: int | tuple[int, int] = 224, seed: int = 0, *, target: ArrayLike | None = None
     ) -> None:
-        """Set size and seed; `picture`, if given, is the target, and its size the task's size."""
+        """Set size and seed; `target`: a picture in place of the generated one, and its size."""
         self.seed = whole_number("seed", seed, minimum=0)
-        self._picture = None if picture is None else _checked_picture(picture)
+        self._picture = None if target is None else _checked_picture(target)
         self.size = _checked_size(size) if self._picture is None else self._picture.shape[:2]
         self._frames_rendered = 0  # a noisy task gives every unseeded frame its own noise
 

@@ -12,8 +12,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Mesh", "courtyard"]
-
 
 class Mesh(NamedTuple):
     """Triangles with a normal and a color at each vertex; Y is up, lengths are in meters.

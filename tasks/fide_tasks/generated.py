@@ -13,7 +13,7 @@ from functools import cache
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from fide_tasks.base import Image, Task, Vector
 
@@ -35,15 +35,6 @@ class GeneratedTask(Task):
     """
 
     least_change: ClassVar[float] = 2e-4
-
-    def __init__(
-        self,
-        size: int | tuple[int, int] = 224,
-        seed: int = 0,
-        *,
-        target: ArrayLike | None = None,
-    ) -> None:
-        super().__init__(size, seed, picture=target)
 
     @abstractmethod
     def _draw(self, rng: np.random.Generator) -> Vector:

@@ -8,8 +8,6 @@ import sys
 import tempfile
 from collections.abc import Mapping
 
-__all__ = ["failure"]
-
 
 def failure(
     script: str, *arguments: str, seconds: float, environment: Mapping[str, str] | None = None

@@ -61,7 +61,7 @@ class MitsubaTask(Task):
         reference_spp: int | None = None,
         target: ArrayLike | None = None,
     ) -> None:
-        super().__init__(size, seed, picture=target)
+        super().__init__(size, seed, target=target)
         self.spp = whole_number("spp", self.default_spp if spp is None else spp, minimum=1)
         judging = self.default_reference_spp if reference_spp is None else reference_spp
         self.reference_spp = whole_number("reference_spp", judging, minimum=1)

@@ -24,8 +24,6 @@ from typing import Any
 from fide_tasks import isolated
 from fide_tasks.base import one_of
 
-__all__ = ["REMEDIES", "VARIANTS", "choose", "in_variant", "library", "problem_with"]
-
 VARIANTS = {"cuda": "cuda_ad_rgb", "llvm": "llvm_ad_rgb", "scalar": "scalar_rgb"}
 """Short names of the variants, in the order of preference, and Mitsuba's names."""
 

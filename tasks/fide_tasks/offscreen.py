@@ -17,8 +17,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["REMEDY", "OffscreenError", "Stage", "import_mujoco"]
-
 REMEDY = (
     "install EGL and Mesa (on Debian and Ubuntu: apt-get install libegl1 libgl1-mesa-dri), "
     "or the driver of your GPU with its EGL library"

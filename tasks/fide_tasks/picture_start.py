@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 
 from fide_tasks.base import Image, Vector
 
-__all__ = ["cells_of", "stroke_of"]
-
 _PIXELS = 128**2  # of the picture that is clustered, at most
 _NEARNESS = 0.5  # a cell's width weighs as much as this difference of color
 _ITERATIONS = 20

@@ -56,13 +56,9 @@ class Robot(Task):
     )
 
     def __init__(
-        self,
-        size: int | tuple[int, int] = 224,
-        seed: int = 0,
-        *,
-        target: ArrayLike | None = None,
+        self, size: int | tuple[int, int] = 224, seed: int = 0, *, target: ArrayLike | None = None
     ) -> None:
-        super().__init__(size, seed, picture=target)
+        super().__init__(size, seed, target=target)
         self._model: Any = import_mujoco().MjModel.from_xml_path(str(_MODEL))
         joints = [self._model.joint(f"joint{i + 1}").id for i in range(panda.JOINTS)]
         self._places = self._model.jnt_qposadr[joints]

@@ -62,7 +62,7 @@ class Spline(Task):
         self.control_points = whole_number("control_points", control_points, minimum=2)
         drawn = isinstance(target, str)
         self._subject = one_of("target", target, ("ampersand", "random")) if drawn else "picture"
-        super().__init__(size, seed, picture=None if drawn else target)
+        super().__init__(size, seed, target=None if drawn else target)
         height, width = self.size
         self.parameters = (
             *(
@@ -163,15 +163,9 @@ def _fixed_point(points: Vector) -> NDArray[np.int32]:
 
 
 FACES = (
-    "DejaVuSans",
-    "cmss10",
-    "STIXGeneral",
-    "DejaVuSerif",
-    "STIXGeneralItalic",
-    "DejaVuSansMono",
-    "cmr10",
-    "DejaVuSans-Oblique",
-)
+    "DejaVuSans", "cmss10", "STIXGeneral", "DejaVuSerif", "STIXGeneralItalic", "DejaVuSansMono",
+    "cmr10", "DejaVuSans-Oblique",
+)  # fmt: skip
 _FILL = 0.8  # of the image that the glyph's larger side spans, relative
 _SUPERSAMPLING = 4
 

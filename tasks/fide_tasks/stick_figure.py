@@ -100,11 +100,7 @@ class StickFigure(GeneratedTask):
     least_change = 1e-4
 
     def __init__(
-        self,
-        size: int | tuple[int, int] = 224,
-        seed: int = 0,
-        *,
-        target: ArrayLike | None = None,
+        self, size: int | tuple[int, int] = 224, seed: int = 0, *, target: ArrayLike | None = None
     ) -> None:
         super().__init__(size, seed, target=target)
         across, down = half_extent(self.size)

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 from fide_tasks.base import Image, Parameter, Task, Vector, one_of, whole_number
 
 _KINDS = ("x 1", "y 1", "x 2", "y 2", "x 3", "y 3", "red", "green", "blue", "opacity")
-_BACKGROUND = {"gray": 0.5, "white": 1.0, "black": 0.0}
+_OPACITY, _GRAY = 0.5, 0.5  # of the most opaque triangle; of the background
 _BLOCK = 4096  # pixels that are painted at a time; what they need stays in the cache
 _LEAST_CROP = 0.4  # of the shorter side of the photograph
 
@@ -39,16 +39,12 @@ class Triangles(Task):
     Options
     -------
     triangles: number T, at least 2; by default 50.
-    opacity: of the most opaque triangle there can be, in (0, 1]; by default 0.5, as in es-clip.
-    background: "gray" (the default), "white" or "black". es-clip paints on noise, whose mean is
-        gray, and averages the loss of five renders: a triangle has to cover the noise.
-    normalize: whether a number says where a triangle lies between the least and the largest of all
-        triangles, as in es-clip (the default), or is itself the coordinate, color or opacity.
     target: "photograph" (the default); "random", triangles of this task's own, so that x_star is
         known; or a picture of the user's own, float (H, W, 3) in [0, 1].
 
     The 10 T parameters are x and y of three corners, 0 and 1 being the edges of the image, red,
-    green, blue and the share of `opacity`, of each triangle from back to front.
+    green, blue and the opacity from 0 to 1/2, of each triangle from back to front, each relative to
+    the least and the largest of all triangles. es-clip paints on noise, whose mean is this gray.
 
     `seed` chooses the part of the photograph; seed 0 is all of it that has the shape of the image.
 
@@ -63,35 +59,24 @@ class Triangles(Task):
         seed: int = 0,
         *,
         triangles: int = 50,
-        opacity: float = 0.5,
-        background: str = "gray",
-        normalize: bool = True,
         target: str | ArrayLike = "photograph",
     ) -> None:
         self.triangles = whole_number("triangles", triangles, minimum=2)
-        self.opacity = _opacity(opacity)
-        self.background = one_of("background", background, tuple(_BACKGROUND))
-        if not isinstance(normalize, bool):
-            raise ValueError(f"normalize must be True or False, not {normalize!r}")
-        self.normalize = normalize
         drawn = isinstance(target, str)
         self._subject = one_of("target", target, ("photograph", "random")) if drawn else "picture"
-        super().__init__(size, seed, picture=None if drawn else target)
-        unit = "relative" if normalize else "0-1"
+        super().__init__(size, seed, target=None if drawn else target)
         self.parameters = tuple(
-            Parameter(f"triangle {i + 1}", kind, unit, 0.0, 1.0)
+            Parameter(f"triangle {i + 1}", kind, "relative", 0.0, 1.0)
             for i in range(self.triangles)
             for kind in _KINDS
         )
 
     def _render(self, values: Vector, out: Image, seeds: NDArray[np.uint32]) -> None:
-        v = values.reshape(len(values), self.triangles, len(_KINDS))
-        if self.normalize:
-            v = _relative(v)
+        v = _relative(values.reshape(len(values), self.triangles, len(_KINDS)))
         for triangles, frame in zip(v, out, strict=True):
             paint = triangles[:, 6:].astype(np.float32)
-            paint[:, 3] *= np.float32(self.opacity)
-            _paint(frame, triangles[:, :6].reshape(-1, 3, 2), paint, _BACKGROUND[self.background])
+            paint[:, 3] *= np.float32(_OPACITY)
+            _paint(frame, triangles[:, :6].reshape(-1, 3, 2), paint)
 
     def _make_x_star(self) -> Vector | None:
         if self._subject != "random":
@@ -104,12 +89,6 @@ class Triangles(Task):
         return _photograph(self.size, self.seed)
 
 
-def _opacity(value: float) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= 1:
-        raise ValueError(f"opacity must lie in (0, 1], not {value!r}")
-    return float(value)
-
-
 def _relative(v: Vector) -> Vector:
     """Numbers (n, T, kinds) relative to the range of their kind; 0.5 where all are the same."""
     low, high = v.min(axis=1, keepdims=True), v.max(axis=1, keepdims=True)
@@ -118,11 +97,11 @@ def _relative(v: Vector) -> Vector:
     return relative
 
 
-def _paint(frame: Image, corners: Vector, paint: Plane, background: float) -> None:
+def _paint(frame: Image, corners: Vector, paint: Plane) -> None:
     """Paint triangles with corners (T, 3, 2) in [0, 1] and paint (T, 4) into frame (H, W, 3)."""
     height, width, _ = frame.shape
     edges, sharpness = _edges(corners * (width, height))
-    color = np.vstack([np.full(3, background, np.float32), paint[:, :3]])
+    color = np.vstack([np.full(3, _GRAY, np.float32), paint[:, :3]])
     rows = max(1, _BLOCK // width)
     for first in range(0, height, rows):
         block = frame[first : first + rows]

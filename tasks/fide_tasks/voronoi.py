@@ -59,7 +59,7 @@ class Voronoi(Task):
         self.variant = one_of("variant", variant, ("color", "distance"))
         default = 8 if self.variant == "color" else 2
         self.cells = default if cells is None else whole_number("cells", cells, minimum=1)
-        super().__init__(size, seed, picture=target)
+        super().__init__(size, seed, target=target)
         height, width = self.size
         place = [("x", "px", width), ("y", "px", height)]
         tint = [("red", "0-1", 1), ("green", "0-1", 1), ("blue", "0-1", 1)]

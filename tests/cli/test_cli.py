@@ -5,14 +5,8 @@ from __future__ import annotations
 import json
 import os
 import re
-import shlex
-import signal
-import subprocess
 import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +14,7 @@ import pytest
 import fide_plugins
 import fide_tasks
 from fide_plugins.cli import main
-from fide_plugins.cli.terminal import as_typed, note, plain
+from fide_plugins.cli.terminal import note, plain
 from fide_plugins.fide import FIDE
 from fide_plugins.options import PRESETS
 from fide_plugins.runtime.machine import EXTRAS
@@ -162,55 +156,7 @@ def test_doctor(capsys: pytest.CaptureFixture[str]) -> None:
     assert "lpips" in text and "weights not found" in text and "cores" in text
 
 
-@pytest.mark.thorough
-def test_doctor_imports_no_framework() -> None:
-    script = (
-        "import sys; from fide_plugins.cli import main; code = main(['doctor']);"
-        "print(*sorted({'mitsuba', 'mujoco', 'optuna', 'nevergrad'} & set(sys.modules)));"
-        "sys.exit(code)"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=True
-    )
-    *lines, heavy = done.stdout.splitlines()
-    assert heavy == "" and "--verbose" in lines[-1]
-    assert "tasks" not in lines and any(re.match("  dense +ok", line) for line in lines)
-
-
 # -- interruption ----------------------------------------------------------------------------------
-
-
-@pytest.mark.thorough
-def test_interrupt_saves_and_resume_reaches_the_same_result(
-    forked_command: Callable[..., Any], capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = ["run", "voronoi", *SMALL, "--task-set", "cells=2", "--budget", "2500", "--json"]
-    words += ["--out"]
-    assert main([*words, "whole"]) == 0
-    whole = json.loads(capsys.readouterr().out)
-    for signum, code, more in ((signal.SIGINT, 130, []), (signal.SIGTERM, 143, ["--resume"])):
-        before = written("cut/run.json")
-        command = forked_command(*words, "cut", *more)
-        command.wait_until(lambda old=before: written("cut/run.json") != old)  # at the first render
-        time.sleep(0.05)
-        returned, err = command.stop(signum)
-        assert returned == code, err
-        assert "saved in cut" in err and "--out cut --resume" in err
-        assert json.loads(Path("cut/run.json").read_text())["state"] == "interrupted"
-    assert main([*words, "cut", "--resume"]) == 0
-    resumed = json.loads(capsys.readouterr().out)
-    for key in ("evaluations", "best_loss", "mse", "x_best"):
-        assert resumed[key] == whole[key]
-    curves = [
-        [line.rsplit(",", 1)[0] for line in Path(out, "curve.csv").read_text().splitlines()]
-        for out in ("whole", "cut")
-    ]
-    assert curves[0] == curves[1]
-
-
-def written(path: str) -> int | None:
-    """When a file was written; None: it is not there."""
-    return Path(path).stat().st_mtime_ns if Path(path).exists() else None
 
 
 def test_a_run_that_fails_is_exit_code_1(
@@ -233,12 +179,6 @@ def test_a_run_that_fails_is_exit_code_1(
 
 
 # -- text ------------------------------------------------------------------------------------------
-
-
-def test_a_command_can_be_pasted() -> None:
-    words = ["fide", "run", "--out", "runs/a  b", "it's"]
-    assert shlex.split(as_typed(words)) == words
-    assert as_typed(["a\x1b[2J"]) == r"'a\x1b[2J'"
 
 
 def test_a_reader_that_has_gone_stops_no_work(monkeypatch: pytest.MonkeyPatch) -> None:

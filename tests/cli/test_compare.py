@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pytest
 
 from fide_lab import compare
-from fide_lab.cli import report_command
 from fide_plugins.cli import main
-from fide_plugins.runtime import machine
 
 from .conftest import fide
 
@@ -34,7 +27,7 @@ def test_compare_runs_everything_and_makes_the_report(capsys: pytest.CaptureFixt
     assert len(set(line.findall(captured.err))) == 4
     assert "| optimizer" in captured.out and captured.out.endswith("look at out/report.html\n")
     assert "Success is loi of 0.5 or less." in captured.out
-    names = {"report.html", "report.md", "results.csv", "figures", "cells", "targets"}
+    names = {"report.html", "results.csv", "cells", "targets"}
     assert names <= set(os.listdir("out"))
     (call,) = compare.read("out").calls
     assert call["command"] == ["fide", *words, "--threshold", "loi=0.5"]
@@ -51,7 +44,7 @@ def test_compare_runs_everything_and_makes_the_report(capsys: pytest.CaptureFixt
     table.write_bytes(table.read_bytes()[:-1])
     assert fide("report", "out", "-o", "pages/p.html") == 0
     assert "voronoi loi cma seed 1 is damaged and left out" in capsys.readouterr().err
-    assert Path("pages/p.html").is_file() and Path("pages/p-figures").is_dir()
+    assert Path("pages/p.html").is_file() and Path("pages/p-results.csv").is_file()
     assert fide(*words, "--resume") == 0
     err = capsys.readouterr().err
     assert "voronoi loi cma seed 1 is damaged and will be repeated" in err
@@ -78,65 +71,3 @@ def test_wrong_usage(words: list[str], message: str, capsys: pytest.CaptureFixtu
     assert captured.out == "" and captured.err.count("\n") == 1
     assert re.search(message, captured.err), captured.err
     assert not Path("out").exists()
-
-
-@pytest.mark.filterwarnings("default")
-def test_a_budget_below_one_population_is_spent(capsys: pytest.CaptureFixture[str]) -> None:
-    words = [*SMALL, "--budget", "5", "--optimizers", "cma", "--out", "out"]
-    assert fide("compare", "voronoi", *words) == 0
-    err = capsys.readouterr().err
-    assert err.count("below one population of cma, which is 10 for 10 parameters: the optim") == 1
-    assert err.count("after 5 renders") == 2
-
-
-def test_a_failure_is_exit_code_1_and_in_the_report(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from fide_lab.baselines.evolution import Random
-
-    def breaks(self: Random, *args: object) -> None:
-        raise ArithmeticError("out of luck")
-
-    monkeypatch.setattr(Random, "_update", breaks)
-    assert fide("compare", "voronoi", *SMALL, "--out", "out") == 1
-    err = capsys.readouterr().err
-    assert "voronoi mse random seed 1: failed (ArithmeticError: out of luck)" in err
-    assert "2 of 4 runs failed; error.txt in their directories has the tracebacks" in err
-    assert "ArithmeticError: out of luck" in Path("out/report.html").read_text()
-    for path in Path("out").glob("cells/voronoi/mse/random/*/error.txt"):
-        assert "ArithmeticError: out of luck" in path.read_text()
-
-    only = ["compare", "voronoi", *SMALL, "--optimizers", "random", "--out", "none"]
-    assert fide(*only) == fide("report", "none") == 1
-    err = capsys.readouterr().err
-    assert err.count("no run in none is finished, and 2 of 2 failed; error.txt in their direc") == 2
-    assert not Path("none/report.html").exists()
-
-
-@pytest.mark.thorough
-@pytest.mark.skipif(machine.cores() < 2, reason="needs two cores")
-def test_jobs_stop_together_and_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(report_command, "make", lambda *_: 0)
-    words = ["compare", "voronoi", *SMALL, "--out", "out"]
-    words[words.index("40")] = "500"
-    words[words.index("16")] = "32"
-    command = [sys.executable, "-m", "fide_plugins", *words, "--jobs", "2"]
-    child = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    while not list(Path("out").rglob("run.ckpt")):
-        assert child.poll() is None, child.stderr and child.stderr.read()
-        time.sleep(0.02)
-    child.send_signal(signal.SIGINT)
-    _, err = child.communicate(timeout=60)
-    assert child.returncode == 130
-    assert "stopped by SIGINT, everything is saved in out" in err and "Traceback" not in err
-    assert f"fide {' '.join(words)} --jobs 2 --resume" in err
-    assert {r.state for r in compare.read("out").runs} & {"unfinished", "missing"}
-    assert fide(*words, "--resume") == 0
-    assert fide(*[word if word != "out" else "whole" for word in words]) == 0
-    for whole in Path("whole").rglob("curve.csv"):
-        parts = Path("out") / whole.relative_to("whole")
-        tables = [[line.rsplit(",", 1)[0] for line in path.read_text().splitlines()]
-                  for path in (whole, parts)]  # fmt: skip
-        assert tables[0] == tables[1]
-    started = json.loads(Path("out/study.json").read_text())["calls"]
-    assert [call["jobs"] for call in started] == [2, 1]

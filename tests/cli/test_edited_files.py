@@ -10,17 +10,6 @@ import pytest
 
 from .conftest import fide
 
-SEARCH = """
-import numpy as np
-
-class Search:
-    def __init__(self, dim, seed=None):
-        self.dim, self.rng = dim, np.random.default_rng(seed)
-    def ask(self, n):
-        return self.rng.uniform(0, 1, (n, self.dim))
-    def tell(self, X, losses): ...
-"""
-
 
 def edit(file: Path, old: str, new: str) -> None:
     """Edit a module, as if the next process were to load it."""
@@ -56,19 +45,3 @@ def test_resuming_names_a_renderer_that_was_edited_once(
     assert len(versions) == 2
     assert fide(*words, 40, "--resume") == 0
     assert "has changed" not in capsys.readouterr().err
-
-
-def test_resuming_names_an_optimizer_that_was_edited(
-    scene: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    mine = scene.parent / "mine.py"
-    mine.write_text(SEARCH)
-    words = ("run", "scene.py:render", "--optimizer", "mine.py:Search", "--out", "out")
-    assert fide(*words, "--budget", 20) == 0
-    edit(mine, "def tell(self, X, losses)", "def tell(self, points, losses)")
-    assert fide(*words, "--budget", 20, "--resume") == 0
-    assert "mine.py has changed since the run in out" in capsys.readouterr().err
-    edit(mine, "uniform(0, 1,", "uniform(0, 0.5,")
-    assert fide(*words, "--budget", 20, "--resume") == 2
-    changed, refused = capsys.readouterr().err.splitlines()
-    assert "mine.py has changed" in changed and "asks for other candidates" in refused

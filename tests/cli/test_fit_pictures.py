@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 
 import numpy as np
@@ -60,12 +59,3 @@ def test_fit_begins_at_the_picture(capsys: pytest.CaptureFixture[str]) -> None:
     assert options["sigma0"] == 0.1
     assert fide(*words, "--optimizer", "cma", "--start", "picture") == 2
     assert "--start picture is for the optimizer fide; cma" in one_line(capsys)
-
-
-def test_pictures_that_are_none(capsys: pytest.CaptureFixture[str]) -> None:
-    Path("text.png").write_text("not a picture\x1b[31m")
-    Path("evil\x1b[31m\n.png").write_bytes(b"\x89PNG\r\n\x1a\n")
-    os.mkdir("folder.png")
-    for name in ("text.png", "evil\x1b[31m\n.png", "folder.png"):
-        assert fide("fit", name, "--model", "voronoi") == 2
-        assert "\x1b" not in one_line(capsys)

@@ -128,15 +128,6 @@ def test_the_end_says_each_thing_once_in_units(capsys: pytest.CaptureFixture[str
 
 
 @pytest.mark.usefixtures("target")
-def test_the_other_rules_by_which_a_fit_stops(capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["fit", "target.png", "--renderer", "scene.py:render", "--workers", 0, "--json"]
-    assert fide(*words, "--stop-at", 0.5) == 0
-    assert summary(capsys)["stopped"] == "stop_at"
-    assert fide(*words, "--time", "0.2s") == 0
-    assert summary(capsys)["stopped"] == "time"
-
-
-@pytest.mark.usefixtures("target")
 def test_a_picture_is_reduced_to_the_renderers_size(capsys: pytest.CaptureFixture[str]) -> None:
     with Image.open("target.png") as image:
         image.resize((160, 120)).save("large.png")

@@ -4,20 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from fide_plugins import FIDE, solutions as stored
-from fide_plugins.cli.fit_command import _keep_pictures
+from fide_plugins import FIDE
 from fide_plugins.cli.fit_inputs import Renders
 from fide_plugins.errors import ImageError
-from fide_plugins.fitting.rendering import Outcome, Rendered
-from fide_plugins.renderers import FunctionRenderer
-from fide_plugins.types import Float64
 
 from .conftest import fide, last_line, summary
 
@@ -108,35 +103,6 @@ def test_several_targets_are_views_of_one_render(capsys: pytest.CaptureFixture[s
     assert fide("fit", "target.png", "small.png", *words, "--json") == 0
     assert summary(capsys)["evaluations"] == 20
     assert fide("solutions", "out") == 0
-
-
-@pytest.mark.usefixtures("views")
-@pytest.mark.filterwarnings("always:.*clipped")
-def test_a_tuple_of_overexposed_views_is_fitted_and_its_solutions_are_kept(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    """Those of which the second render gives no image stay without."""
-    Path("hdr.py").write_text(
-        "from scene import render as draw, space\n"
-        "def render(p):\n    image = 0.7 + draw(p)\n    return image, image[::2, ::2]\n"
-    )
-    words = ["--renderer", "hdr.py:render", "--workers", 0, "--budget", 60, "--out", "out"]
-    assert fide("fit", "target.png", "small.png", *words, "--seed", 0, "--json") == 0
-    assert "clipped" in capsys.readouterr().err
-    result = SimpleNamespace(optimizer=FIDE.load(next(Path("out").glob("optimizer-*.ckpt"))))
-    points = [np.full(4, value) for value in (0.2, 0.4, 0.6)]
-    result.solutions = [SimpleNamespace(x=x) for x in points]
-    render = FunctionRenderer("hdr.py:render")
-
-    def again(optimizer: FIDE, X: Float64) -> list[Outcome]:
-        params = {"x": 0.0, "gray": 0.5, "rows": 2, "shape": "disk"}
-        return [Rendered(render(params), 0.0), Rendered(None, 0.0)]
-
-    renders: Any = again
-    _keep_pictures(renders, result, Path("out"))
-    ((x, image),) = stored.read_images(Path("out"))
-    np.testing.assert_array_equal(x, points[1])
-    assert image.shape == (12, 24, 3) and image.max() == 1.0
 
 
 @pytest.mark.usefixtures("views")

@@ -7,27 +7,11 @@ import re
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
-from PIL import Image
 
-from fide_lab.run.task import make_renderer_task as make
 from fide_plugins import FIDE, Choice, Float, Int, Space
 
 from .conftest import fide, one_line
-
-
-@pytest.mark.usefixtures("scene")
-def test_a_target_of_random_parameters_with_the_size_of_the_renderer() -> None:
-    first, again, other = (make("scene.py:render", seed, {}) for seed in (3, 3, 4))
-    assert first.x_star is not None and other.x_star is not None
-    assert first.target.shape == (12, 16, 3)
-    np.testing.assert_array_equal(first.target, again.target)
-    assert not np.array_equal(first.x_star, other.x_star)
-    (image,) = first.render(first.x_star[None])
-    np.testing.assert_allclose(np.repeat(image[..., None], 3, 2), first.target, atol=1e-7)
-    assert first.search_space is not None
-    np.testing.assert_array_equal(first.search_space.snap(first.x_star), first.x_star)
 
 
 @pytest.mark.usefixtures("scene")
@@ -46,17 +30,6 @@ def test_run_searches_the_space_and_records_it(capsys: pytest.CaptureFixture[str
     (checkpoint,) = Path("out").glob("optimizer-*.ckpt")
     assert FIDE.load(checkpoint).space == space  # integers and choices are searched as such
     assert fide("run", "scene.py:render", *words, "--resume") == 0
-
-
-def test_a_picture_of_another_size_is_refused_before_anything_is_written(
-    target: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    Image.open(target).resize((9, 7)).save("small.png")
-    for words in (["run", "scene.py:render"], ["compare", "scene.py:render", "--seeds", 1]):
-        assert fide(*words, "--budget", 8, "--target", "small.png", "--out", "out") == 2
-        message = "the picture has 9 x 7 pixels, and scene.py:render renders 16 x 12: give"
-        assert message in one_line(capsys)
-        assert not Path("out").exists()
 
 
 def test_arguments_of_the_fit_are_no_options(
@@ -107,23 +80,6 @@ def test_run_takes_a_program(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["run"], "name a TASK, or give --command"),
-        (["run", "voronoi", "--command", "ls {out}"], "a TASK or --command, not both"),
-        (["run", "voronoi", "--timeout", "3"], "--timeout is of --command; leave it out"),
-        (["run", "--command", COMMAND], r"needs a space \(--space FILE.toml\)"),
-    ],
-)  # fmt: skip
-@pytest.mark.usefixtures("program")
-def test_wrong_commands(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert fide(*words) == 2
-    error = capsys.readouterr().err
-    assert re.search(message, error), error
-    assert error.count("\n") == 1 and not Path("out").exists()
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
         (["scene.py"], "no renderer 'scene.py'.*; it has render, render_x"),
         (["scene.py:rendr"], "'rendr' in .*scene.py must be .*it has render"),
         (["nowhere.py:render"], "no file '/.*/nowhere.py'; write FILE.py:NAME"),
@@ -148,11 +104,3 @@ def test_wrong_usage_is_one_line(
     assert captured.out == "" and captured.err.count("\n") == 1
     assert captured.err.startswith("fide run: ")
     assert re.search(message, captured.err), captured.err
-
-
-@pytest.mark.usefixtures("scene")
-def test_a_renderer_that_fails_names_its_parameters(capsys: pytest.CaptureFixture[str]) -> None:
-    assert fide("run", "scene.py:fails", "--optimizer", "random", "--budget", 30) == 1
-    err = capsys.readouterr().err
-    assert "with the parameters x=-" in err
-    assert re.search(r"^ *ValueError: x is below 0$", err, re.M)  # on lines of its own

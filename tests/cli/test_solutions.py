@@ -19,7 +19,6 @@ import pytest
 from PIL import Image
 
 from fide_plugins import FIDE, Solution, fit, images
-from fide_plugins.cli import main
 from fide_plugins.encoders.own import referenced
 from fide_plugins.errors import CheckpointError
 from fide_plugins.renderers import FunctionRenderer
@@ -263,19 +262,3 @@ def test_it_serves_until_it_is_stopped(tmp_path: Path) -> None:
             assert json.load(answer)["state"] == "not begun"
         process.send_signal(signal.SIGINT)
         assert process.wait(20) == 130
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["nowhere"], "there is no directory nowhere"),
-        ([".", "--port", "70000"], "cannot serve on port 70000.*0 to 65535"),
-    ],
-)
-def test_wrong_usage_of_watch(
-    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    import re
-
-    assert main(["watch", *words, "--no-browser"]) == 2
-    assert re.search(message, capsys.readouterr().err)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -67,24 +66,9 @@ def test_a_fit_without_standard_streams(tmp_path: Path, monkeypatch: pytest.Monk
 NO_TIME = dict.fromkeys(("render", "encode", "train", "search"), 0.0)
 
 
-@pytest.fixture(autouse=True)
-def every_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(progress, "_EVERY", 0.0)
-
-
-def last_line(capsys: pytest.CaptureFixture[str], *states: tuple[int, float], **facts: Any) -> str:
-    """Last line of a run that had so many evaluations after so many seconds."""
-    report = progress.lines("x")
-    for done, seconds in states:
-        known: dict[str, Any] = {"budget": 0, "best_loss": 0.5, "wall_s": seconds}
-        report(Progress(done, **{**known, "times": NO_TIME, **facts}))
-    return capsys.readouterr().err.splitlines()[-1]
-
-
 def test_a_log_gets_a_line_soon_and_then_one_a_minute(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.undo()  # of the fixture above
     now = 1000.0
     monkeypatch.setattr("fide_plugins.cli.progress.time.monotonic", lambda: now)
     report = progress.lines("x")
@@ -97,33 +81,3 @@ def test_a_log_gets_a_line_soon_and_then_one_a_minute(
     assert told == [5, *range(65, 601, 60)]
     report(Progress(10_000, 10_000, 0.5, 601.0, NO_TIME))
     assert "10000/10000" in capsys.readouterr().err  # the end is always told
-
-
-@pytest.mark.parametrize(
-    ("done", "seconds", "text"),
-    [(20, 1.0, "50 ms a render"), (2, 16.0, "8 s a render")],
-)
-def test_the_time_of_a_render(
-    done: int, seconds: float, text: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert f"  {text}  " in last_line(capsys, (0, 0.0), (done, seconds))
-
-
-@pytest.mark.parametrize(
-    ("limits", "left"),
-    [
-        ({"budget": 2000}, "about 4.4 h left"),  # 1990 renders of 8 s
-        ({"budget": 110}, "about 13 min left"),
-        ({"budget": 15}, "about 40 s left"),
-        ({"time": 380.0}, "about 5 min left"),
-        ({}, None),
-        ({"time": 79.0}, None),
-    ],
-)
-def test_the_time_that_is_left(
-    limits: dict[str, float], left: str | None, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Until the first of budget and time limit; after a few renders only, which say how long."""
-    line = last_line(capsys, (0, 0.0), (10, 80.0), **limits)
-    assert (f"  8 s a render  {left}" in line) if left else ("left" not in line)
-    assert "left" not in last_line(capsys, (0, 0.0), (7, 56.0), **limits)

@@ -12,7 +12,7 @@ import pytest
 from fide_plugins import FIDE, fit
 from fide_plugins.cli.fit_command import add_arguments
 from fide_plugins.comparison.auto import camera_blur, has_other_colors
-from fide_plugins.comparison.light import fit_light
+from fide_plugins.comparison.light import common_light, fit_light
 from fide_plugins.comparison.mismatch import explanation
 from fide_plugins.comparison.scale_space import blurred
 from fide_plugins.errors import ImageError, OptionError
@@ -293,7 +293,8 @@ def test_fit_takes_images_with_coverage_and_says_what_is_left() -> None:
     assert abs(result.best.x - TRUE).max() < 0.05
     assert result.residual.shape == (SIZE, SIZE)
     assert result.best.photometric is not None
-    assert result.optimizer.best.loss == result.best.loss <= result.losses[-1]
+    best = result.optimizer.best
+    assert best is not None and best.loss == result.best.loss <= result.losses[-1]
 
 
 LIGHT = np.full((SIZE, SIZE, 3), 0.1, np.float32)
@@ -376,3 +377,31 @@ def test_hidden_colors_are_none_of_the_target() -> None:
     assert comparison is not None
     moved = np.array([render(x) for x in np.random.default_rng(0).random((12, 2))])
     assert not comparison.has_other_colors(moved)
+
+
+def test_one_light_of_all_renders_is_that_of_the_photograph() -> None:
+    """By what does not move, wherever the object is in them."""
+
+    def small(u: int, v: int) -> Image:
+        image = render([2.0, 2.0])  # the ground alone
+        image[v : v + 4, u : u + 4] = [0.9, 0.2, 0.1]
+        return image
+
+    here, target = small(20, 8), shaded(small(20, 8))
+    renders = np.stack([small(*at) for at in np.random.default_rng(0).integers(0, 28, (12, 2))])
+    light = common_light(renders, target, None, "shading")
+    assert light is not None
+    left = np.square(light.applied(here) - target).mean()
+    assert left < 0.05 * np.square(here - target).mean()
+    other = np.random.default_rng(1).random(renders.shape)
+    assert common_light(other, target, None, "shading") is None
+
+
+def test_the_floor_is_what_no_render_removes() -> None:
+    target = render(TRUE).copy()
+    target[:8, :8] = [1, 0, 1]
+    made = evaluator(target, photo=True)
+    assert made.comparison is not None and made.comparison.floor == 0
+    values = losses(made, [render(x) for x in ([0.9, 0.1], [0.2, 0.4], TRUE)])
+    assert made.comparison.floor == pytest.approx(values[2])
+    assert made.comparison.floor < values[:2].min()

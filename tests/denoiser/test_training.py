@@ -12,7 +12,6 @@ from fide_lab.baselines.image_based import WhitenedLoss, whitened
 from fide_plugins.denoiser.network import Context
 from fide_plugins.denoiser.sampling import x_prediction
 from fide_plugins.denoiser.training import XLoss, adam_state, fit, load_adam_state
-from fide_plugins.runtime.devices import BatchSize
 
 STD = torch.tensor([0.3, 0.1, 0.7])
 
@@ -69,7 +68,7 @@ def train(epochs: int, batch_size: int, seed: int = 0, lr: float = 0.05) -> tupl
         (x - 0.5)[:, None],
         STD,
         epochs=epochs,
-        batch_size=BatchSize(batch_size, "examples"),
+        batch_size=batch_size,
         generator=torch.Generator().manual_seed(seed),
     )
     return line, losses

@@ -23,13 +23,6 @@ def disks(x: Float64) -> Float64:
     return image
 
 
-def disk(params: dict[str, Any]) -> Float64:
-    """Soft disk, in one of three grays."""
-    distance = np.hypot(_GRID[None] - params["x"], _GRID[:, None] - 0.5)
-    disk: Float64 = params["gray"] / (1 + np.exp((distance - 0.2) * 15))
-    return disk
-
-
 @pytest.fixture
 def double() -> Iterator[Any]:
     """Calls a function where double precision is PyTorch's default."""
@@ -44,14 +37,6 @@ def double() -> Iterator[Any]:
 
     yield call
     torch.set_default_dtype(before)
-
-
-def same(one: torch.nn.Module, other: torch.nn.Module) -> bool:
-    mine, theirs = one.state_dict(), other.state_dict()
-    return mine.keys() == theirs.keys() and all(
-        torch.equal(value, theirs[name]) and value.dtype == theirs[name].dtype
-        for name, value in mine.items()
-    )
 
 
 @pytest.mark.parametrize("options", [{}, {"preset": "paper", "popsize": 8, "epochs": 2}])

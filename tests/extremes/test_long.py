@@ -9,23 +9,9 @@ import numpy as np
 import pytest
 
 from fide_plugins.fide import FIDE
-from fide_plugins.types import Float64
 
 SLOW = pytest.mark.slow
 TELLS = [5_000, pytest.param(1_000_000, marks=[SLOW, pytest.mark.timeout(3000)])]
-
-
-def constant(z: Float64) -> Float64:
-    return np.zeros(len(z))
-
-
-def sphere(z: Float64) -> Float64:
-    losses: Float64 = np.square(z - 0.3).sum(axis=1)
-    return losses
-
-
-def noise(z: Float64) -> Float64:
-    return np.random.default_rng(z.view(np.uint64).ravel()[0]).random(len(z))
 
 
 def resident() -> int:

@@ -32,36 +32,6 @@ from fide_plugins.runtime import checkpoint, files
 from fide_plugins.validation.images import as_target
 
 NUMBER = 300
-TOKENS = [
-    b"nan", b"-inf", b"NaN", b"-Infinity", b"1e999", b"-1e308", b"5e-324", b"9" * 5000, b"0x7f",
-    b"2020-13-45", b"07:32:61", b'""', b'"""', b"{", b"}", b"[", b"]", b",", b":", b"=", b".", b"#",
-    b"[" * 3000, b'{"a":' * 3000, b"{a=" * 3000, b"[a" + b".a" * 3000 + b"]\nlow = 1\n",
-    b'"\\ud800"', b"\xff", b"\x00", b"\n", b"null", b"true", b"[1]", b"{}", b'"x"', b"3",
-    b"repeat = 1000000000", b'type = "choice"', b"values = [[1]]", b'"d"', b'"l"', b'"a"', b'"f"',
-]  # fmt: skip
-WORDS = re.compile(rb"\"[^\"]*\"|[^\s=\[\]{},:]+|[\[{][^\[\]{}]*[\]}]")
-
-
-def mutant(sound: bytes, seed: int) -> bytes:
-    """The file with one to three changes: a word replaced, something put in, left out, doubled."""
-    rng, data = random.Random(seed), sound
-    for _ in range(rng.randint(1, 3)):
-        i, kind = rng.randrange(len(data) + 1), rng.randrange(8)
-        words = [found.span() for found in WORDS.finditer(data)]
-        if kind < 4 and words:
-            start, stop = rng.choice(words)
-            other = rng.choice(words)
-            put = rng.choice(TOKENS) if kind < 3 else data[slice(*other)]
-            data = data[:start] + put + data[stop:]
-        elif kind == 4:
-            data = data[:i] + rng.choice(TOKENS) + data[i:]
-        elif kind == 5:
-            data = data[:i] + bytes([rng.randrange(256)]) + data[i + 1 :]
-        elif kind == 6:
-            data = data[:i] + data[i + rng.randrange(40) :]
-        else:
-            data = data[:i] + data[i : i + 40] + data[i:]
-    return data
 
 
 def mutant_of_json(sound: bytes, seed: int) -> bytes:
@@ -95,13 +65,12 @@ def refused(
     sound: bytes,
     read: Callable[[Path], Any],
     error: type[Exception],
-    change: Callable[[bytes, int], bytes] = mutant,
-    whole: Callable[[bytes], bytes] = bytes,
+    whole: Callable[[bytes], bytes],
 ) -> int:
     """Number of mutants that are refused by the error; any other error is raised, with its seed."""
     count = 0
     for seed in range(NUMBER):
-        path.write_bytes(whole(change(sound, seed)))
+        path.write_bytes(whole(mutant_of_json(sound, seed)))
         try:
             read(path)
         except error:
@@ -143,7 +112,7 @@ def test_models(tmp_path: Path) -> None:
             assert X.shape == (2, model.dim) and (X >= 0).all() and (X <= 1).all()
         assert repr(model) and str(model.report)
 
-    count = refused(tmp_path / "mutant", text, read, CheckpointError, mutant_of_json, whole)
+    count = refused(tmp_path / "mutant", text, read, CheckpointError, whole)
     assert NUMBER / 3 < count < NUMBER
 
 

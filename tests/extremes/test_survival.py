@@ -158,7 +158,7 @@ def test_killed_at_any_time(tmp_path: Path, expected: Any) -> None:
         assert kept >= max(before, saved), (told, kept)
         before = kept
     check_same(run(tmp_path / "run"), expected)
-    assert not list(tmp_path.glob("run/.*")), "what a killed writer leaves is cleared"
+    assert not list(tmp_path.glob("run/.*.tmp")), "what a killed writer leaves is cleared"
 
 
 @pytest.mark.thorough

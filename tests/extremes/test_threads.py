@@ -79,10 +79,3 @@ def test_a_generation_told_by_eight_threads_is_the_generation_told_at_once(tmp_p
     np.testing.assert_array_equal(whole.ask(), pieces.ask())
     ours, theirs = whole.state.search.distribution, pieces.state.search.distribution
     np.testing.assert_array_equal(ours.C, theirs.C)
-
-
-def run(opt: FIDE) -> Float64:
-    for _ in range(8):
-        X = opt.ask()
-        opt.tell(X, render(X))
-    return opt.ask()

@@ -8,8 +8,6 @@ from typing import Any
 
 from fide_plugins import Float, Space
 
-__all__ = ["ANSWER", "SPACE", "disk", "target"]
-
 SPACE = Space(x=Float(0, 1), y=Float(0, 1), radius=Float(0.1, 0.5), gray=Float(0, 1))
 ANSWER = {"x": 0.7, "y": 0.35, "radius": 0.3, "gray": 0.9}
 

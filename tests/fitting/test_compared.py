@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from fide_plugins import fit, load_run
-from fide_plugins.recording import figures, plots
+from fide_plugins.recording import figures
 from fide_plugins.recording.figures import Panel
 
 _V, _U = np.mgrid[0:24, 0:24] / 23
@@ -48,7 +48,7 @@ def test_what_a_render_does_not_cover_is_the_target_in_all_pictures(
         drawn.append(panel)
         draw(axes, panel)
 
-    monkeypatch.setattr(plots, "draw_image", note)
+    monkeypatch.setattr(figures, "draw_image", note)
     result = fit(
         render, PHOTO, 2, budget=60, workers=0, seed=0, out=tmp_path / "run", until="budget",
         **options,

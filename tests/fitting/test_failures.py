@@ -259,20 +259,3 @@ def test_an_exception_of_a_loss_or_an_encoder_loses_nothing(what: str, tmp_path:
     whole = fit(disk(), target(), SPACE, **{**options, "out": None})
     assert resumed.evaluations == 60
     np.testing.assert_array_equal(resumed.curve, whole.curve)
-
-
-def test_a_traceback_is_shown_once() -> None:
-    """By the warning; the error that ends the fit has the reason and the parameters."""
-
-    def render(p: dict[str, Any]) -> Any:
-        raise ValueError(f"no paint for {p['x']}")
-
-    with (
-        pytest.warns(RenderFailedWarning, match="(?s)Traceback.*no paint for") as told,
-        pytest.raises(FitError, match="no paint for") as given_up,
-    ):
-        fit(render, np.zeros((4, 4)), Space(x=Float(0, 1)), workers=0, seed=0)
-    assert len(told) == 1 and "Traceback" not in str(given_up.value)
-    failure = given_up.value.result.first_failure
-    assert failure is not None and f"render({failure.params})" in str(given_up.value)
-    assert failure.details in str(told[0].message)

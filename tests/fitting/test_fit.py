@@ -7,7 +7,6 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -170,42 +169,6 @@ def test_a_hopeless_fit_stops_when_it_stalls() -> None:
         result = fit(constant, target(), SPACE, None, until_stalled=True, workers=0, seed=0)
     assert result.stopped == "stalled"
     assert 20 * 8 <= result.evaluations < 2000 and result.status.code != "improving"
-
-
-@pytest.mark.parametrize(
-    ("code", "improved_at", "evaluations", "over"),
-    [
-        ("noise", 8, 16, "stalled"),  # the renderer has noise
-        ("agreed", 8, 400, "stalled"),
-        ("unsure", 8, 400, None),  # moves have not had their chance
-        ("stalled", 8, 1200, None),
-        ("unsure", 8, 1208, "stalled"),
-        ("unsure", 8, 1209, None),  # not before a generation is whole
-        ("unsure", 2000, 3992, None),  # what took long may take as long again
-        ("unsure", 2000, 4000, "stalled"),
-        ("improving", 8, 5000, None),
-    ],
-)
-def test_a_fit_is_stalled_after_many_moves(
-    code: str, improved_at: int, evaluations: int, over: str | None
-) -> None:
-    """With a population of eight."""
-    pixel_noise = SimpleNamespace(variance=0.01)
-    state = SimpleNamespace(
-        evaluations=evaluations,
-        improved_at=improved_at,
-        retargeted_at=0,
-        pixel_noise=pixel_noise,
-        best=None,
-    )
-    optimizer: Any = SimpleNamespace(
-        popsize=8, dim=4, state=state, status=SimpleNamespace(code=code),
-        views=SimpleNamespace(numbers=256),
-    )  # fmt: skip
-    losses = [1.0] * (evaluations - 1) + [0.1]
-    assert Stopping(None, until="stalled").reached(losses, 1.0, 0.1, True, optimizer) == over
-    assert Stopping(None).reached(losses, 1.0, 0.1, True, optimizer) is None
-    assert Stopping(None, until="budget").reached(losses, 1.0, 0.1, True, optimizer) is None
 
 
 # -- bad input -------------------------------------------------------------------------------------

@@ -6,13 +6,12 @@ import json
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from fide_plugins import FIDE, Fidelity, fit
 from fide_plugins.fitting.fidelity import schedule_for
-from fide_plugins.fitting.planning import Planner
 from fide_plugins.fitting.rendering import Outcome, Rendered
+from fide_plugins.fitting.schedule import Planner
 from fide_plugins.fitting.workers import InThisProcess
 from fide_plugins.types import Float64
 
@@ -36,7 +35,7 @@ def test_sizes_that_save_no_time_are_left_out(
     optimizer = FIDE(SPACE, target, seed=0)
     schedule = schedule_for(renderer([]), FIDELITY, optimizer)
     assert schedule is not None
-    planner = Planner(60.0, 1, optimizer.views.views)
+    planner = Planner(60.0, 1)
     planner.measure(optimizer, schedule, InThisProcess(rendered), None)
     assert [size[0] for size in schedule.sizes] == kept
     small = None if kept == [64] else (kept[0], kept[0])
@@ -60,18 +59,3 @@ def test_the_plan_is_printed_kept_and_made_once(
     assert totals["plan"] == list(result.plan) and totals["cost"] == result.cost
     again = fit(renderer(asked), target, SPACE, 12, resume=True, **options)
     assert not again.plan and again.evaluations == 12 and asked[-1][1] == (64, 64)
-
-
-def test_a_renderer_of_one_kind_is_rendered_no_more_often_for_a_plan(target: Float64) -> None:
-    asked: list[dict[str, float]] = []
-
-    def render(params: dict[str, float]) -> Float64:
-        asked.append(params)
-        return draw(params, (64, 64), 16, 0)
-
-    options: dict[str, Any] = {"budget": 10, "workers": 0, "seed": 0, "until": "budget"}
-    plain = fit(render, target, SPACE, **options)
-    planned = fit(render, target, SPACE, time="10m", **options)
-    assert np.array_equal(plain.losses, planned.losses)
-    assert asked[: len(asked) // 2] == asked[len(asked) // 2 :]
-    assert not plain.plan and planned.plan[0].startswith("pictures of 64 x 64 pixels")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import pytest
@@ -10,7 +9,6 @@ import pytest
 from fide_lab.run import Progress
 from fide_plugins import fit
 from fide_plugins.errors import OptionError
-from fide_plugins.fitting.callbacks import reporting
 
 from .scene import SPACE, disk, target
 
@@ -40,13 +38,3 @@ def test_what_is_no_progress_is_refused_before_anything_is_written(
     with pytest.raises(OptionError, match="progress must be True, False, None or a function"):
         fit(disk(), target(), SPACE, 4, workers=0, out=tmp_path / "run", progress=progress)
     assert not (tmp_path / "run").exists()
-
-
-def test_a_line_has_no_loss_before_there_is_one(capsys: pytest.CaptureFixture[str]) -> None:
-    with reporting(True) as report:
-        assert report is not None
-        report(Progress(100, 1000, math.inf, 1.0, {}, remark="1 rendering"))
-        report(Progress(300, 1000, 0.0125, 2.0, {}, remark="3 rendering, 1 failed"))
-    first, second = capsys.readouterr().err.split("\r")[1:3]
-    assert "100/1000" in first and "1 rendering" in first and "inf" not in first
-    assert "300/1000" in second and "best 0.0125  3 rendering, 1 failed" in second

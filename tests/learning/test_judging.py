@@ -152,7 +152,8 @@ def test_the_bound_is_finite_for_the_least_held_out_renders(held_out: int) -> No
     for renders in (features(rng, held_out), np.zeros((held_out, 30))):
         assert np.isfinite(Familiarity.of(features(rng, 40), renders).threshold)
     familiarity = Familiarity.of(same, same[:held_out])
-    assert familiarity.knows(same[0]) and not familiarity.knows(same[0] + 0.1)
+    known, unknown = familiarity.distances(np.stack([same[0], same[0] + 0.1]))
+    assert known <= familiarity.threshold < unknown
 
 
 NONE: Indices = np.empty((0, 0), np.intp)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -99,7 +102,8 @@ def test_where_something_is_counts_from_the_first_step() -> None:
     for seed in range(4):
         with torch.random.fork_rng(devices=[]):
             torch.default_generator.manual_seed(seed)
-            head = Blocks(16, (4, 6), 8, torch.zeros(4, dtype=torch.bool), [[0, 1], [2, 3]])
+            encoder: Any = SimpleNamespace(channels=16, grid=(4, 6))
+            head = Blocks(encoder, 8, torch.zeros(4, dtype=torch.bool), [[0, 1], [2, 3]])
             plain, thing = 1000 * torch.randn(2, 16)
         images = plain.repeat(24, 24, 1)  # (B, places, channels)
         images[range(24), range(24)] = thing  # in each image at another place

@@ -275,130 +275,15 @@ def test_commands_refuse_a_model_of_another_version(
         assert error.count("\n") == 1 and not Path("r").exists()
 
 
-REFUSED = r"the renderer's images are not those in .*they differ by .* of 255 on average"
-
-
-class Scene:
-    """Gray gradient by two numbers; counts its renders.
-
-    shift: of all grays.  noise: standard deviation, of other numbers for each render.
-    source: stands for its text, which may have changed.  seed: of the noise.
-    """
-
-    name = "scene"
-
-    def __init__(
-        self,
-        shift: float = 0.0,
-        noise: float = 0.0,
-        source: str = "1",
-        version: str | None = None,
-        seed: int = 0,
-    ) -> None:
-        self.fingerprint: str | None = f"text:{source}"
-        self.version, self.renders = version, 0
-        self._shift, self._noise = shift, noise
-        self._rng = np.random.default_rng(seed)
-
-    def __call__(self, x: Float64) -> Float64:
-        self.renders += 1
-        image = np.outer(np.linspace(0.3, x[0], SIDE), np.linspace(0.3, x[1], SIDE))
-        noise = self._noise * self._rng.standard_normal((SIDE, SIDE))
-        return np.clip(0.2 + 0.3 * image + self._shift + noise, 0, 1)
-
-
-@pytest.fixture
-def model(tmp_path: Path) -> Path:
-    return tmp_path / "m.fide"
-
-
-def learned(render: object, model: Path, renders: int = 100, **more: Any) -> Model:
-    space = None if hasattr(render, "render") else more.pop("space", 2)
-    return learn(render, space, renders=renders, size=SIDE, passes=1, out=model, **more)
-
-
-def contents(model: Path) -> dict[str, bytes]:
-    """All files of a folder of renders."""
-    return {path.name: path.read_bytes() for path in Path(f"{model}.renders").iterdir()}
-
-
-@pytest.mark.parametrize("shift", [0.0, 0.4 / 255, -0.4 / 255])
-def test_renders_are_added_to_those_of_the_same_images(model: Path, shift: float) -> None:
-    """Also where another processor rounds otherwise."""
-    learned(Scene(), model)
-    again = Scene(shift, source="with a comment")
-    assert learned(again, model, 200).report.renders == 196
-    assert again.renders == 1 + 8 + 100  # the first shows the shape
-
-
-@pytest.mark.parametrize("source", ["1", "2"])
-@pytest.mark.parametrize(
-    ("before", "now"),
-    [
-        ({}, {"shift": 0.01}),
-        ({"noise": 0.05}, {"shift": 0.3, "noise": 0.05}),
-        ({"noise": 0.1}, {"shift": 0.1, "noise": 0.1}),  # below the noise of a pixel
-        ({"noise": 0.05}, {}),
-    ],
-)
-def test_renders_are_not_added_to_those_of_other_images(
-    model: Path, before: dict[str, Any], now: dict[str, Any], source: str
-) -> None:
-    """Also where the source is as it was, and something that it reads has changed."""
-    learned(Scene(**before), model)
-    there = contents(model)
-    with pytest.raises(OptionError, match=f"{REFUSED}.*delete the folder, or learn into another"):
-        learned(Scene(**now, source=source, seed=1), model, 200)
-    assert contents(model) == there
-
-
-def test_noise_is_no_change(model: Path) -> None:
-    learned(Scene(noise=0.1), model)
-    again = Scene(noise=0.1, source="2", seed=1)
-    assert learned(again, model, 200).report.renders == 196
-    assert again.renders == 1 + 8 + 8 + 100
-
-
-def test_nothing_is_rendered_again_where_only_training_goes_on(model: Path) -> None:
-    learned(Scene(), model)
-    for scene in (Scene(), Scene(0.3)):  # the source is as it was
-        learned(scene, model)
-        assert scene.renders == 1
-
-
-def test_training_does_not_go_on_with_images_of_another_source(model: Path) -> None:
-    learned(Scene(), model)
-    with pytest.raises(OptionError, match=REFUSED):
-        learned(Scene(0.3, source="2"), model)
-    mended = Scene(source="3")  # a comment
-    learned(mended, model)
-    assert mended.renders == 1 + 8
-    again = Scene(source="3")
-    learned(again, model)
-    assert again.renders == 1  # that source is known now
-
-
-def test_a_version_vouches_for_a_changed_source_but_not_for_images_that_are_mixed(
-    model: Path,
-) -> None:
-    learned(Scene(version="1"), model)
-    other = Scene(0.3, source="2", version="1")
-    learned(other, model)
-    assert other.renders == 1
-    with pytest.raises(OptionError, match=REFUSED):
-        learned(other, model, 200)
-
-
-def test_a_renderer_that_fails_now_says_so(model: Path) -> None:
-    def broken(x: Float64) -> Float64:
-        if x[0] != 0.5:
-            raise ValueError("no light")
-        return scene(x)
-
-    scene = Scene()
-    broken.__name__ = scene.name
-    learned(scene, model)
-    there = contents(model)
-    with pytest.raises(RenderError, match="failed for most parameters .*: ValueError: no light"):
-        learned(broken, model, 200)
-    assert contents(model) == there
+def test_a_changed_source_is_a_warning_where_renders_are_there(tmp_path: Path) -> None:
+    """Once for each change, and not where a version says which images it makes."""
+    file = tmp_path / "m"
+    learn(Gradient(), 2, out=file, **ARGUMENTS)
+    edited = Gradient(fingerprint="own:2")
+    with pytest.warns(RuntimeWarning, match="changed since .* delete that folder if its images"):
+        learn(edited, 2, out=file, **ARGUMENTS)
+    assert edited.renders == 1  # the first shows the shape
+    learn(edited, 2, out=file, **ARGUMENTS | {"renders": 200})
+    assert edited.renders == 1 + 1 + 100
+    learn(Gradient("1"), 2, out=tmp_path / "n", **ARGUMENTS)
+    learn(Gradient("1", fingerprint="own:2"), 2, out=tmp_path / "n", **ARGUMENTS)

@@ -192,26 +192,6 @@ def test_each_image_is_changed_in_its_own_way(change: Change) -> None:
     assert len({tuple(image.flatten().tolist()) for image in out}) > len(images) // 2
 
 
-def test_shifts_are_of_half_a_pixel_at_most_and_go_both_ways() -> None:
-    """On a ramp of one gray level a pixel, the change is the shift."""
-    ramp = (torch.arange(32.0) / 100).expand(200, 3, 32, 32).contiguous()
-    moved = augmentation._shifted(ramp, seeded())
-    shift = 100 * (moved - ramp)[:, :, 2:-2, 2:-2]
-    assert float(shift.abs().max()) <= 0.5 + 1e-4
-    assert float(shift.min()) < -0.4 and float(shift.max()) > 0.4
-    assert float((shift.amax((1, 2, 3)) - shift.amin((1, 2, 3))).max()) < 1e-3  # all of an image
-
-
-def test_blurring_keeps_flat_images_and_the_mean() -> None:
-    flat = torch.full((9, 3, 16, 16), 0.3)
-    torch.testing.assert_close(augmentation.out_of_focus(flat, seeded(), (0.2, 0.8), 3), flat)
-    spot = torch.zeros(9, 3, 15, 15)
-    spot[:, :, 7, 7] = 1
-    soft = augmentation.out_of_focus(spot, seeded(), (0.2, 0.8), 3)
-    torch.testing.assert_close(soft.sum((2, 3)), torch.ones(9, 3))
-    assert float(soft[:, :, 7, 7].min()) > 0.2 and float(soft[:, :, 7, 7].max()) <= 1
-
-
 def test_what_is_in_front_is_one_rectangle_of_one_color() -> None:
     images = waves(200)
     hidden = (augmentation.in_front(images, seeded()) != images).any(1)  # (n, H, W)

@@ -12,7 +12,6 @@ from torch import Tensor
 
 from fide_plugins.errors import OptionError
 from fide_plugins.proposers.diffusion import DiffusionProposer
-from fide_plugins.runtime.devices import BatchSize
 
 Floats = NDArray[np.float64]
 MEAN, STD = np.array([0.5, 0.5]), np.array([0.1, 0.2])
@@ -48,15 +47,6 @@ def test_learns_to_read_the_parameters_from_the_image() -> None:
     assert after < 0.35 * before
 
 
-def as_numpy(state: dict[str, Any]) -> dict[str, Any]:
-    def convert(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {key: convert(entry) for key, entry in value.items()}
-        return value.numpy() if isinstance(value, Tensor) else value
-
-    return {key: convert(value) for key, value in state.items()}
-
-
 def by_the_sample(proposed: Floats, z: Floats) -> bool:
     """Whether a sample itself stands where the network gave no number."""
     return bool((proposed == z).any())
@@ -78,15 +68,6 @@ def test_training_that_diverges_is_undone_and_said_once(rate: float) -> None:
     proposed = proposer.propose(x, tokens[0], MEAN, STD)
     np.testing.assert_array_equal(proposed, calm.propose(x, tokens[0], MEAN, STD))
     assert not by_the_sample(proposed, x)
-
-
-def state_as_bytes(proposer: DiffusionProposer) -> dict[str, Any]:
-    def flat(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {key: flat(entry) for key, entry in value.items()}
-        return value.numpy().tobytes() if isinstance(value, Tensor) else value
-
-    return {key: flat(value) for key, value in proposer.state_dict().items()}
 
 
 def test_a_network_that_overflows_leaves_samples_as_they_are() -> None:
@@ -115,44 +96,3 @@ def test_other_images_are_refused_before_anything_changes() -> None:
 def test_bad_options(options: dict[str, Any]) -> None:
     with pytest.raises(OptionError):
         make(**options)
-
-
-def test_out_of_memory_gives_smaller_batches_said_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A device with room for three: nobody is left out, of training or of proposals."""
-    proposer, (x, tokens) = make(batch_size=16), scene(40)
-    network, _ = proposer._parts(3, 1)
-    trained: list[int] = []
-    forward = type(network).forward
-
-    def tight(self: Any, z: Tensor, s: Tensor, context: Any) -> Tensor:
-        if len(z) > 3:
-            raise torch.OutOfMemoryError("CUDA out of memory")
-        trained.append(len(z))
-        return forward(self, z, s, context)
-
-    monkeypatch.setattr(type(network), "forward", tight)
-    with pytest.warns(RuntimeWarning, match="too small.*from now on 8") as warned:
-        history = proposer.update(x, tokens, None, STD)
-    assert len(warned) == 1 and sum(trained) == 2 * 40 and bool(history.isfinite().all())
-    trained.clear()
-    proposer.update(x, tokens, None, STD)
-    assert sum(trained) == 2 * 40 and set(trained) == {2}
-    with pytest.warns(RuntimeWarning, match="proposals") as warned:
-        proposed = proposer.propose(x, tokens[0], MEAN, STD)
-    assert len(warned) == 1
-    monkeypatch.undo()
-    np.testing.assert_allclose(proposed, proposer.propose(x, tokens[0], MEAN, STD), atol=1e-5)
-    twin = make(batch_size=16)
-    twin.load_state_dict(as_numpy(proposer.state_dict()))
-    for each in (proposer, twin):  # the twin has not seen that there is so little room
-        each.update(x, tokens, None, STD)
-    assert state_as_bytes(twin) == state_as_bytes(proposer)
-
-
-def test_no_room_for_a_single_one_is_an_error_that_says_what_to_do() -> None:
-    def refuse(piece: slice) -> None:
-        raise torch.OutOfMemoryError("CUDA out of memory")
-
-    with pytest.warns(RuntimeWarning), pytest.raises(torch.OutOfMemoryError) as caught:
-        BatchSize(4, "things").each(refuse, 4)
-    assert "device='cpu'" in caught.value.__notes__[0]

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from fide_plugins.proposers import forward
-from fide_plugins.proposers.forward import ForwardProposer, _balanced, fit_jacobian
+from fide_plugins.proposers.forward import GaussNewtonSteps, _balanced, fit_jacobian
 from fide_plugins.types import Float64
 
 D, T, C = 4, 5, 3
@@ -25,9 +25,9 @@ def nothing_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(forward, "_LEAST_KEPT", 0.0)
 
 
-def make(dim: int = D, **changes: Any) -> ForwardProposer:
+def make(dim: int = D, **changes: Any) -> GaussNewtonSteps:
     options: dict[str, Any] = {"damping": (1e-9, 1e-9), "ridge": (1e-9, 1e-9), "kept": 0.0}
-    return ForwardProposer(dim, **(options | changes))
+    return GaussNewtonSteps(dim, **(options | changes))
 
 
 def images_of(x: Float64, bend: float = 0.0) -> Tensor:
@@ -45,7 +45,7 @@ def scene(n: int, seed: int = 0, bend: float = 0.0) -> tuple[Float64, Tensor, Fl
 
 
 def step(
-    proposer: ForwardProposer, target: Tensor, m: int = 1, std: Float64 = STD, seed: int = 0
+    proposer: GaussNewtonSteps, target: Tensor, m: int = 1, std: Float64 = STD, seed: int = 0
 ) -> Float64:
     mean = np.full(proposer.dim, 0.5)
     rng = np.random.default_rng(seed)
@@ -177,7 +177,7 @@ def test_damping_is_log_uniform_and_steps_are_cut() -> None:
 def test_a_model_that_explains_nothing_gives_samples_back() -> None:
     """Of images that never change."""
     x, tokens, losses = scene(20)
-    proposer = ForwardProposer(D)
+    proposer = GaussNewtonSteps(D)
     proposer.update(x, tokens[:1].expand(20, T, C), losses, STD)
     rng = np.random.default_rng(1)
     z = rng.normal(0.5, STD, (50, D))
@@ -187,7 +187,7 @@ def test_a_model_that_explains_nothing_gives_samples_back() -> None:
 
 def test_a_model_that_is_right_keeps_nothing_of_samples() -> None:
     x, tokens, losses = scene(40)
-    proposer = ForwardProposer(D, ridge=(1e-6, 1e-6), longest=10.0)
+    proposer = GaussNewtonSteps(D, ridge=(1e-6, 1e-6), longest=10.0)
     proposer.update(x, tokens, losses, STD)
     made = step(proposer, images_of(ANSWER[None])[0], 50)
     np.testing.assert_allclose(made, np.tile(ANSWER, (50, 1)), atol=1e-3)

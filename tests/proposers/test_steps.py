@@ -11,7 +11,7 @@ from fide_plugins import encoders
 from fide_plugins.options import make_options
 from fide_plugins.population import TrainingSample
 from fide_plugins.proposers import make_steps
-from fide_plugins.proposers.forward import ForwardProposer, GaussNewtonSteps
+from fide_plugins.proposers.forward import GaussNewtonSteps
 from fide_plugins.types import Float64
 
 D, T, C, K = 3, 4, 5, 10
@@ -30,8 +30,8 @@ UNLIKE = TARGET + torch.as_tensor(np.random.default_rng(2).standard_normal((T, C
 """What no parameters make: a linear model explains little of it."""
 
 
-def taught(n: int = 12, **options: float) -> GaussNewtonSteps:
-    steps = GaussNewtonSteps(ForwardProposer(D, minimum=5), **options)
+def taught(n: int = 12, least_promise: float = 0.25) -> GaussNewtonSteps:
+    steps = GaussNewtonSteps(D, minimum=5, least_promise=least_promise)
     for i, x in enumerate(np.random.default_rng(0).normal(MEAN, STD, (n, D))):
         loss = float(np.square(x - TRUTH).sum())
         steps.add(TrainingSample(i, x, image_of(x), loss, i))
@@ -41,7 +41,7 @@ def taught(n: int = 12, **options: float) -> GaussNewtonSteps:
 def take(steps: GaussNewtonSteps, m: int = 1) -> Float64:
     rng = np.random.default_rng(7)
     z = rng.normal(MEAN, STD, (m, D))
-    x = steps.forward.propose(z, TARGET, MEAN, STD, rng)
+    x = steps.propose(z, TARGET, MEAN, STD, rng)
     steps.taken(m)
     return x
 
@@ -52,7 +52,7 @@ def test_there_are_as_many_as_the_model_promises() -> None:
         steps = taught(least_promise=0.0)
         steps.due = True
         left = steps.left(K, target, STD)
-        promise = steps.forward.promised(target, STD)
+        promise = steps.promised(target, STD)
         assert left == round(promise * ALL)
         assert (left == ALL) == (target is TARGET)
     assert 0 < left < ALL
@@ -83,7 +83,7 @@ def test_steps_end_at_one_that_is_not_new(why: str) -> None:
     steps = taught(12)
     steps.due = True
     assert steps.left(K, TARGET, STD) == ALL
-    second = {"evaluated": steps.forward.x[3], "out": MEAN + 0.02, "an earlier step": MEAN}[why]
+    second = {"evaluated": steps.x[3], "out": MEAN + 0.02, "an earlier step": MEAN}[why]
     x = np.stack([MEAN, second, MEAN + 0.01])
     kept = steps.new_ones(x, lambda row: bool((row == MEAN + 0.02).all()))
     np.testing.assert_array_equal(kept, x[:1])
@@ -100,7 +100,7 @@ def test_a_step_of_a_linear_scene_goes_to_the_answer() -> None:
 
 @pytest.mark.parametrize("learned", [False, True])
 def test_state(learned: bool) -> None:
-    first, second = taught(), GaussNewtonSteps(ForwardProposer(D, minimum=5))
+    first, second = taught(), GaussNewtonSteps(D, minimum=5)
     first.due = True
     if learned:
         first.left(K, TARGET, STD)

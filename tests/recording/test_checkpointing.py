@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from fide_plugins.recording import directory
-from fide_plugins.recording.directory import CheckpointTimer, note_unsaved
+from fide_plugins.recording.directory import CheckpointTimer
 
 
 @pytest.mark.parametrize(("took", "wait"), [(0.125, 5.0), (0.25, 5.0), (0.5, 10.0), (2.0, 40.0)])
@@ -26,11 +26,3 @@ def test_writing_takes_at_most_one_part_in_twenty(
     assert not timer.due()
     now[0] += 0.125
     assert timer.due()
-
-
-def test_what_is_lost_is_noted_on_the_first_error() -> None:
-    error = ValueError("the renderer fails")
-    note_unsaved(error, OSError("the disk is full"))
-    assert error.__notes__ == [
-        "not everything could be written, perhaps no checkpoint: the disk is full"
-    ]

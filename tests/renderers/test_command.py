@@ -9,7 +9,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from multiprocessing import get_context
@@ -20,7 +20,7 @@ import pytest
 
 from fide_plugins import Choice, Float, Group, Space, fit
 from fide_plugins.errors import OptionError, RenderError
-from fide_plugins.renderers import CommandRenderer, child
+from fide_plugins.renderers import CommandRenderer
 from fide_plugins.renderers.command import Template
 
 PROGRAM = """
@@ -239,29 +239,6 @@ def test_a_program_that_hangs_is_stopped_with_all_it_started(
         CommandRenderer(text, SPACE, timeout=1)(params())
     assert ends(int(Path("pid").read_text()))
     assert os.listdir(tmp_path / "tmp") == []
-
-
-def test_the_time_of_a_render_is_that_of_all_views_together(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """By a clock of our own: each program takes four seconds."""
-    now, given = [0.0], list[float | None]()
-
-    def four_seconds(command: Sequence[str], log: Path, timeout: float | None) -> child.Ended:
-        given.append(timeout)
-        now[0] += 4
-        late = timeout is not None and timeout < 4
-        return child.Ended(None, "") if late else child.run(command, log, None)
-
-    monkeypatch.setattr("fide_plugins.renderers.command.run", four_seconds)
-    monkeypatch.setattr(time, "monotonic", lambda: now[0])
-    assert len(CommandRenderer([template()] * 3, SPACE, timeout=13)(params())) == 3
-    assert given == [13, 9, 5]
-    with pytest.raises(RenderError, match="did not end within 9 s for all views together"):
-        CommandRenderer([template()] * 3, SPACE, timeout=9)(params())
-    assert given[3:] == [9, 5, 1]
-    CommandRenderer([template()] * 2, SPACE, timeout=None)(params())
-    assert given[6:] == [None, None]
 
 
 def test_a_worker_that_leads_a_group_stops_what_hangs_and_goes_on(

@@ -57,11 +57,6 @@ def test_the_functions_own_space_comes_first_and_may_be_a_number(scene: Path) ->
     assert renderer(np.array([0.25, 0.5]))[0, 0, 0] == 0.25
 
 
-def test_a_renderer_without_a_space_says_so(tmp_path: Path) -> None:
-    (tmp_path / "bare.py").write_text("def render(params): return 0")
-    assert FunctionRenderer(f"{tmp_path}/bare.py:render").space is None
-
-
 def test_a_file_imports_its_neighbors_and_holds_dataclasses(tmp_path: Path) -> None:
     (tmp_path / "fide_test_neighbor.py").write_text("VALUE = 7")
     (tmp_path / "scene.py").write_text(

@@ -6,7 +6,6 @@ import json
 import re
 import shlex
 import shutil
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -73,29 +72,3 @@ def test_the_documented_command_fits(capsys: pytest.CaptureFixture[str]) -> None
     render = CommandRenderer(words[words.index("--command") + 1], space)
     again = np.asarray(render(result["params"]))  # the file decides what an image was rendered of
     assert np.square(again - images.load("target.png")).mean() == pytest.approx(result["mse"])
-
-
-def suggested(trial: Any) -> dict[str, Any]:
-    """The parameters of space.toml, by Optuna's own ranges."""
-    real = trial.suggest_float
-    return {
-        "azimuth": real("azimuth", -60, 60), "elevation": real("elevation", 5, 50),
-        "sun": real("sun", -180, 180), "sun_height": real("sun_height", 20, 80),
-        "ball": {"x": real("ball_x", -1.5, 1.5), "z": real("ball_z", -2, 1)},
-        "radius": real("radius", 0.3, 1), "red": real("red", 0, 1), "green": real("green", 0, 1),
-        "roughness": real("roughness", 0.002, 0.2, log=True),
-        "columns": trial.suggest_int("columns", 3, 8),
-        "floor": trial.suggest_categorical("floor", ["checker", "bricks", "planks"]),
-    }  # fmt: skip
-
-
-def params_of(flat: dict[str, Any]) -> dict[str, Any]:
-    params = dict(flat)
-    return params | {"ball": {"x": params.pop("ball_x"), "z": params.pop("ball_z")}}
-
-
-def _random(render: CommandRenderer) -> list[Any]:
-    """Images of 16 random candidates."""
-    many = render.space.decode_many(np.random.default_rng(1).random((16, render.space.dim)))
-    with ThreadPoolExecutor(8) as pool:
-        return list(pool.map(render, many))

@@ -12,11 +12,9 @@ from torch import Tensor, nn
 from fide_plugins import encoders
 from fide_plugins.fide import FIDE
 from fide_plugins.runtime.devices import (
-    BatchSize,
     batch_size,
     digest,
     in_batches,
-    is_out_of_memory,
     repeatable,
     resolve_device,
 )
@@ -87,41 +85,6 @@ def test_settings_of_cudnn_are_as_before_after_what_is_to_be_repeatable(
     assert (cudnn.deterministic, cudnn.benchmark) == before
     with repeatable(torch.device("cpu")):
         assert (cudnn.deterministic, cudnn.benchmark) == before
-
-
-# -- batch sizes if a device or the CPU has too little memory --------------------------------------
-
-
-CPU = RuntimeError(
-    "[enforce fail at alloc_cpu.cpp:124] err == 0. DefaultCPUAllocator: can't allocate memory: you "
-    "tried to allocate 4000000000000 bytes. Error code 12 (Cannot allocate memory)"
-)
-DEVICE = torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 20.00 GiB.")
-LIBRARY = RuntimeError("CUDA error: CUBLAS_STATUS_ALLOC_FAILED when calling `cublasCreate(handle)`")
-
-
-@pytest.mark.parametrize("error", [CPU, DEVICE, LIBRARY, MemoryError()])
-def test_whatever_says_so_makes_pieces_smaller(error: Exception) -> None:
-    done: list[int] = []
-
-    def work(piece: slice) -> None:
-        if piece.stop - piece.start > 3:
-            raise error
-        done.extend(range(piece.start, piece.stop))
-
-    assert is_out_of_memory(error)
-    with pytest.warns(RuntimeWarning, match="from now on 4") as warned:
-        BatchSize(8, "things").each(work, 11)
-    assert done == list(range(11)) and len(warned) == 1
-
-
-def test_other_errors_are_none_of_it() -> None:
-    def work(piece: slice) -> None:
-        raise RuntimeError("mat1 and mat2 shapes cannot be multiplied")
-
-    with pytest.raises(RuntimeError, match="mat1"):
-        BatchSize(8, "things").each(work, 8)
-    assert not is_out_of_memory(ValueError("out of memory"))
 
 
 # -- batches of one size ---------------------------------------------------------------------------

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import importlib
-import importlib.metadata
 import os
 import re
 import sys
 import tomllib
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +14,6 @@ import pytest
 from fide_plugins import Float, Space, fit
 from fide_plugins.cli import main
 from fide_plugins.errors import DependencyError
-from fide_plugins.runtime import machine
 from fide_plugins.runtime.machine import EXTRAS, cores, missing
 from fide_plugins.runtime.plotting import new_figure
 
@@ -67,37 +62,6 @@ def test_the_extras_are_those_that_are_declared() -> None:
     assert str(missing("robot", "x")).startswith(words)
 
 
-# -- A broken OpenCV is said to be broken, with the commands that mend it --------------------------
-
-
-HERE = "fide_plugins.runtime.opencv"
-OURS = machine.OPENCV
-
-
-def _modules() -> list[str]:
-    return [name for name in sys.modules if name == HERE or name.partition(".")[0] == "cv2"]
-
-
-@pytest.fixture
-def imported_again() -> Iterator[Any]:
-    """Function that imports our module as if nothing had imported it or OpenCV."""
-    before = {name: sys.modules.pop(name) for name in _modules()}
-    yield lambda: importlib.import_module(HERE)
-    for name in _modules():
-        del sys.modules[name]
-    sys.modules.update(before)
-
-
-def test_a_missing_library_of_the_system_is_named(
-    imported_again: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "cv2.py").write_text("raise ImportError('libGL.so.1: cannot open')")
-    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
-    importlib.invalidate_caches()
-    with pytest.raises(DependencyError, match=rf"\(libGL.so.1: cannot .* pip install {OURS}"):
-        imported_again()
-
-
 # -- without matplotlib, which is an extra, everything but figures works ---------------------------
 
 
@@ -121,7 +85,6 @@ def plain_install(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in [*sys.modules, "matplotlib", "matplotlib.figure"]:
         if name.partition(".")[0] == "matplotlib":
             monkeypatch.setitem(sys.modules, name, None)
-    monkeypatch.delitem(sys.modules, "fide_plugins.recording.plots", raising=False)
 
 
 @pytest.mark.figures

@@ -10,8 +10,8 @@ import pytest
 from fide_tasks import isolated
 
 
-def _render_elsewhere(environment: dict[str, str], before: str = "") -> str | None:
-    script = f"{before}\nimport fide_tasks\nfide_tasks.make('robot', 8).render([[0.5] * 7])"
+def _render_elsewhere(environment: dict[str, str]) -> str | None:
+    script = "import fide_tasks\nfide_tasks.make('robot', 8).render([[0.5] * 7])"
     return isolated.failure(script, seconds=120, environment=environment)
 
 

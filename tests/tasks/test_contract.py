@@ -33,7 +33,6 @@ CASES: dict[str, tuple[str, dict[str, Any]]] = {
     "ball": ("ball", {}),
     "triangles": ("triangles", {}),
     "triangles, random": ("triangles", {"target": "random", "triangles": 8}),
-    "triangles, not relative": ("triangles", {"normalize": False, "triangles": 2}),
 }
 NOISY = ("beads", "san_miguel")
 Make = Callable[..., Task]

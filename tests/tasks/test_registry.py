@@ -42,22 +42,14 @@ def test_unknown_option_lists_the_known() -> None:
     [
         ("voronoi", {"cells": 0}, "cells must be a whole number >= 1, not 0"),
         ("voronoi", {"cells": "8"}, "cells must be a whole number >= 1, not '8'"),
-        ("voronoi", {"cells": 2.5}, "cells must be"),
-        ("voronoi", {"cells": True}, "cells must be"),
         ("voronoi", {"variant": "colour"}, "variant must be one of 'color', 'distance'"),
         ("voronoi", {"size": 0}, "size must be a whole number >= 1"),
         ("voronoi", {"size": (64, 64, 3)}, r"size must be one number or \(height, width\)"),
         ("voronoi", {"seed": -1}, "seed must be a whole number >= 0"),
-        ("voronoi", {"seed": None}, "seed must be a whole number >= 0"),
         ("spline", {"control_points": 1}, "control_points must be a whole number >= 2"),
-        ("lamps", {"lamps": 0}, "lamps must be a whole number >= 1, not 0"),
         ("sprites", {"sprites": 2.5}, "sprites must be a whole number >= 1, not 2.5"),
         ("triangles", {"triangles": 1}, "triangles must be a whole number >= 2, not 1"),
-        ("triangles", {"opacity": 0}, r"opacity must lie in \(0, 1\], not 0"),
-        ("triangles", {"background": "noise"}, "background must be one of 'gray', 'white'"),
-        ("triangles", {"normalize": 1}, "normalize must be True or False, not 1"),
         ("triangles", {"target": "face"}, "target must be one of 'photograph', 'random'"),
-        ("spline", {"target": "asterisk"}, "target must be one of 'ampersand', 'random'"),
     ],
 )
 def test_values_outside_their_range(name: str, arguments: dict[str, Any], rule: str) -> None:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import fide_tasks
 from fide_tasks import panda
 from fide_tasks.robot import Robot
 
@@ -98,15 +96,3 @@ def test_poses_that_are_not_possible_are_no_targets(
 ) -> None:
     links = panda._links(np.array(angles))
     assert panda._is_free(links) == (why is None)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"seed": -1}, "seed must be a whole number >= 0"),
-        ({"spp": 8}, "robot has no option 'spp'; it has target"),
-    ],
-)
-def test_bad_options_are_refused(options: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=re.escape(message)):
-        fide_tasks.make("robot", 16, **options)

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import copy
 import importlib.util
-from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import fide_tasks
 from fide_tasks.san_miguel import SanMiguel
 from fide_tasks.viewpoints import merit
 
@@ -99,18 +97,3 @@ def test_x_star_depends_on_the_seed_alone() -> None:
         np.testing.assert_array_equal(other.x_star, expected)
     one, two = (SanMiguel(16, seed=3, reference_spp=4).target for _ in range(2))
     np.testing.assert_array_equal(one, two)
-
-
-@pytest.mark.parametrize(
-    ("options", "error", "rule"),
-    [
-        ({"spp": 0}, ValueError, "spp must be a whole number >= 1, not 0"),
-        ({"max_depth": 0}, ValueError, "max_depth must be a whole number >= 1"),
-        ({"variant": "opencl"}, ValueError, "variant must be one of 'auto'"),
-    ],
-)
-def test_bad_options_are_refused_when_the_task_is_made(
-    options: dict[str, Any], error: type[Exception], rule: str
-) -> None:
-    with pytest.raises(error, match=rule):
-        fide_tasks.make("san_miguel", **options)

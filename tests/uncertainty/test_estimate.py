@@ -14,16 +14,15 @@ from fide_plugins.population import TrainingSample
 from fide_plugins.search.mixed import Axes
 from fide_plugins.space import Choice, Float, Int, Space
 from fide_plugins.types import Float32, Float64
-from fide_plugins.uncertainty import LocalEstimate, estimate
+from fide_plugins.uncertainty import LocalEstimate
+from fide_plugins.uncertainty.estimate import aligned
 from fide_plugins.uncertainty.local_fit import (
     WIDER,
     FitToTarget,
     LocalFit,
-    _inverse,
     covariance,
     fit_locally,
 )
-from fide_plugins.uncertainty.samples import aligned
 
 D, F, N = 6, 300, 400
 MIXING = np.random.default_rng(1).normal(size=(D, F))
@@ -170,21 +169,6 @@ def test_what_the_picture_does_not_show_is_open_and_the_rest_is_not() -> None:
     assert np.delete(stds, 3, axis=1).max() < 0.05
 
 
-def test_it_is_computed_when_it_is_read_and_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    calls: list[int] = []
-
-    def fit(u: Float64, e: Float64, distances: Float64) -> LocalFit:
-        calls.append(1)
-        return fit_locally(u, e, distances)
-
-    monkeypatch.setattr(estimate, "fit_locally", fit)
-    opt = run(200)
-    best, found = opt.best, opt.solutions()
-    assert best is not None and found and not calls
-    first = best.std
-    assert first is not None and best.std is first and len(calls) == 1
-
-
 def test_saved_and_pickled_it_is_the_same(tmp_path: Path) -> None:
     opt = run(250)
     opt.save(tmp_path / "opt")
@@ -274,31 +258,6 @@ def test_a_parameter_that_never_moved_is_open() -> None:
     assert opt.best.std[1] == pytest.approx(12**-0.5)
 
 
-def test_a_solution_keeps_no_samples_once_it_was_read() -> None:
-    best = run(200).best
-    assert best is not None and best.std is not None
-    assert isinstance(best.estimate, LocalEstimate) and not best.estimate.samples
-
-
-@pytest.mark.thorough
-def test_many_parameters_are_known_as_well_as_noisy_samples_tell() -> None:
-    """A linear renderer with noise in each render; the samples are those of a search."""
-    d, n, rng = 200, 1500, np.random.default_rng(0)
-    mixing = rng.normal(size=(d, 768)) / d**0.5
-    truth = rng.uniform(0.3, 0.7, d)
-    spread = np.geomspace(0.15, 0.005, n)[:, None]
-    X = truth + spread * (0.5 * rng.normal(size=d) + rng.normal(size=(n, d)))
-    tokens = X @ mixing + 0.01 * rng.normal(size=(n, 768))
-    target = truth @ mixing + 0.01 * rng.normal(size=768)
-    x = X[np.square(tokens - target).sum(axis=1).argmin()]
-    known = torch.as_tensor(target.reshape(4, -1))
-    std = LocalEstimate(x, samples_of(X, tokens), known, None, Axes(d)).std
-    assert std is not None
-    errors = np.abs(x - truth)
-    assert (errors < 1.645 * std).mean() > 0.9
-    assert np.median(std) < 4 * np.median(errors), "320 samples would say 8"
-
-
 SCENE = Space(
     x=Float(-0.7, 0.7), y=Float(-0.7, 0.7), gray=Float(0.1, 1), shape=Choice("disk", "square"),
     paper=Choice("a4", "a5", "a6"), rows=Int(1, 4), pages=Int(1, 4),
@@ -378,14 +337,3 @@ def test_of_images_that_are_all_equal_every_parameter_is_open() -> None:
             opt.tell(X, np.full((len(X), 16, 16), 0.5))
     assert opt.best is not None and opt.best.std is not None
     assert opt.best.std.min() > 0.2 and opt.best.std.max() <= 12**-0.5 + 1e-9
-
-
-@pytest.mark.parametrize(("known", "factor"), [(1e6, 1.001), (1e12, 1.01), (1e18, 3), (1e24, 3)])
-def test_what_one_direction_hides_is_open(known: float, factor: float) -> None:
-    """Identity: 12 I + k u u^T has the inverse (I - u u^T) / 12 + u u^T / (12 + k)."""
-    u = np.random.default_rng(0).normal(size=DIM)
-    along = np.outer(u, u) / (u @ u)
-    inverse = _inverse(12 * np.eye(DIM) + known * along)
-    expected = (np.eye(DIM) - along) / 12 + along / (12 + known)
-    ratio = np.sqrt(np.diag(inverse) / np.diag(expected))
-    assert (ratio > 1 / factor).all() and (ratio < factor).all()

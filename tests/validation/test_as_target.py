@@ -11,7 +11,8 @@ import torch
 from PIL import Image, ImageOps
 
 from fide_plugins.errors import FideError, ImageError, ImageNotFoundError, OptionError
-from fide_plugins.validation.images import MAX_PIXELS, as_batch, as_target, load, save
+from fide_plugins.validation.images import as_batch, as_target, load, save
+from fide_plugins.validation.values import MAX_PIXELS
 
 RGB = np.random.default_rng(0).random((5, 7, 3), dtype=np.float32)
 BYTES = np.arange(5 * 7 * 3, dtype=np.uint8).reshape(5, 7, 3)

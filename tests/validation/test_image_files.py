@@ -41,15 +41,11 @@ def test_colors_are_not_multiplied_by_alpha_once_they_are_read(tmp_path: Path) -
     np.testing.assert_allclose(read_pixels(path, None)[..., :3], IMAGE, rtol=1e-5)
 
 
-def test_channels_of_several_types_and_a_gray_with_alpha(tmp_path: Path) -> None:
+def test_channels_of_several_types(tmp_path: Path) -> None:
     halves = IMAGE.astype(np.float16)
     colors = {name: np.ascontiguousarray(halves[..., i]) for i, name in enumerate("RGB")}
     path = write(tmp_path / "a.exr", {**colors, "A": np.ones_like(IMAGE[..., 0])})
     np.testing.assert_array_equal(read_pixels(path, None)[..., :3], halves)
-    gray = np.ascontiguousarray(IMAGE[..., 0])
-    path = write(tmp_path / "b.exr", {"Y": gray * ALPHA[..., 0], "A": ALPHA[..., 0].copy()})
-    expected = np.dstack([gray, gray, gray, ALPHA[..., 0]])
-    np.testing.assert_allclose(read_pixels(path, None), expected, rtol=1e-5)
 
 
 def test_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

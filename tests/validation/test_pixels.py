@@ -96,9 +96,6 @@ def test_the_message_names_255_for_whole_numbers_only() -> None:
 
 
 SPACE = Space(x=Float(0, 1), y=Float(0, 1), r=Float(0.05, 0.4))
-THREE: Any = 3.0
-HALF: Any = 0.5
-HUGE: Any = 1e300
 PICTURE = np.linspace(0, 1, 64).reshape(8, 8)
 
 

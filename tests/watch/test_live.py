@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from fide_plugins import Float, Space
-from fide_plugins.cli import main
 from fide_plugins.fitting.one_call import prepare
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.types import Float32
@@ -44,12 +43,3 @@ def test_a_fit_is_shown_while_it_goes_on(tmp_path: Path) -> None:
     after = RunFiles(tmp_path / "run").state()
     assert after["state"] == "finished" and after["evaluations"] == 40 and after["sentence"]
     assert after["best_loss"] <= during["best_loss"]
-
-
-def test_a_run_of_the_command_line_is_shown(tmp_path: Path) -> None:
-    words = ["run", "voronoi", "--size", "16", "--budget", "40", "--out", str(tmp_path / "run")]
-    assert main([*words, "--set", "popsize=6"]) == 0
-    state = RunFiles(tmp_path / "run").state()
-    assert state["state"] == "finished" and state["evaluations"] == 40
-    assert set(state["pictures"]) == {"target.png", "best.png"}
-    assert state["improvements"][-1][1] == state["best_loss"]

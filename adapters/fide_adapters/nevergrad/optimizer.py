@@ -29,8 +29,6 @@ from fide_plugins.views import Views
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
 
-__all__ = ["NoImagesWarning", "Optimizer", "ParametrizedFIDE"]
-
 _FORMAT = 3  # of dumps
 _FAILED = 5.0e20  # what Nevergrad makes of NaN and infinity
 _ELSEWHERE = (
@@ -47,18 +45,11 @@ class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
     """FIDE for one parametrization; made by `ParametrizedFIDE`."""
 
     def __init__(
-        self,
-        parametrization: Any,
-        budget: int | None = None,
-        num_workers: int = 1,
-        *,
+        self, parametrization: Any, budget: int | None = None, num_workers: int = 1, *,
         config: ParametrizedFIDE,
-    ) -> None:
+    ) -> None:  # fmt: skip
         super().__init__(parametrization, budget=budget, num_workers=num_workers)
-        settings = config.config()
-        target = settings["target"]
-        views = None if target is None else target.views
-        self._search = Search(settings, views, self.num_workers)
+        self._search = Search(config.config(), self.num_workers)
         self._cube: Cube | None = None  # made when the search begins
         self._asked_key = f"fide:asked:{uuid4().hex}"  # in candidates, of the point that FIDE gave
         self._drawn: list[Any] = []  # candidates that Nevergrad has drawn in this call of ask
@@ -213,7 +204,7 @@ class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
             raise
 
     def _withdraw(self, candidate: Any) -> None:
-        """Say that a candidate will not be told; if it is not ours, nothing happens."""
+        """Say that a candidate, if it is ours, will not be told."""
         x = candidate._meta.pop(self._asked_key, None)
         if x is not None:
             self.fide.withdraw([x])
@@ -224,14 +215,10 @@ class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
         jobs = [candidate for candidate, _ in [*self._finished_jobs, *self._running_jobs]]
         return {
             **self.__dict__,
-            "_format": _FORMAT,
-            "_num_ask": self._num_ask - len(jobs),
-            "_repeated": deque([*self._repeated, *jobs]),
-            "_running_jobs": [],
-            "_finished_jobs": deque(),
-            "_drawn": [],
-            "_image": None,
-        }
+            "_format": _FORMAT, "_num_ask": self._num_ask - len(jobs),
+            "_repeated": deque([*self._repeated, *jobs]), "_running_jobs": [],
+            "_finished_jobs": deque(), "_drawn": [], "_image": None,
+        }  # fmt: skip
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         if state.get("_format") != _FORMAT:
@@ -295,16 +282,10 @@ class ParametrizedFIDE(base.ConfiguredOptimizer):  # type: ignore[misc]  # Never
         check_names(options or {}, _ELSEWHERE, instead)
         make_options(preset, {"encoder": encoder, "popsize": popsize, **(options or {})})
         settings = {
+            **dict.fromkeys(("mask", "weights", "value_range")),  # which the target has
             "target": target_setting(target, mask, weights, value_range),
-            "mask": None,  # which the target has
-            "weights": None,
-            "value_range": None,
-            "loss": loss,
-            "preset": preset,
-            "encoder": encoder,
-            "popsize": popsize,
-            "device": device,
-            "seed": None if seed is None else new_seed(seed),
+            "loss": loss, "preset": preset, "encoder": encoder, "popsize": popsize,
+            "device": device, "seed": None if seed is None else new_seed(seed),
             "options": None if options is None else dict(options),
-        }
+        }  # fmt: skip
         super().__init__(Optimizer, settings, as_config=True)

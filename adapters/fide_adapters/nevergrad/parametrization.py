@@ -41,8 +41,6 @@ from fide_plugins.errors import SpaceError
 from fide_plugins.space import Choice, Float, Int, Kind, Space
 from fide_plugins.types import Float64
 
-__all__ = ["Cube", "initial_candidate"]
-
 _SLOPE = 1 / 6
 _WIDEST_STD = 1 / 3
 _FARTHEST = 1e6  # steps to a bound; one that is farther away is ignored
@@ -101,16 +99,13 @@ class Cube:
 
     def candidate(self, x: Float64) -> Any:
         """New candidate for a point x (dim,) of the cube."""
-        made = self._parametrization.spawn_child()
-        if not self._by_value:
-            z = self._axes.from_cube(x)
-            return made.set_standardized_data(z, reference=self._parametrization)
-        assert self.space is not None
-        numbers = self.space.layout.numbers(x[None])[0]
+        made, numbers = self._parametrization.spawn_child(), x
+        if self._by_value and self.space is not None:
+            numbers = self.space.layout.numbers(x[None])[0]
         z = np.zeros(len(self._numeric))
         z[self._numeric] = self._axes.from_cube(numbers[self._columns])
         made.set_standardized_data(z, reference=self._parametrization)
-        leaves = helpers.list_data(made)
+        leaves = helpers.list_data(made) if self._by_value else []
         for i, columns in self._by_value:
             _assign(leaves[i], numbers[columns])
         return made
@@ -118,16 +113,14 @@ class Cube:
     def point(self, candidate: Any) -> Float64:
         """Point x (dim,) of the cube for a candidate; standardized data are clipped to bounds."""
         z = candidate.get_standardized_data(reference=self._parametrization)
-        if not self._by_value:
+        if not self._by_value or self.space is None:
             return self._axes.to_cube(z)
-        assert self.space is not None
         numbers = np.empty((1, len(self._columns)))
         numbers[0, self._columns] = self._axes.to_cube(z[self._numeric])
         leaves = helpers.list_data(candidate)
         for i, columns in self._by_value:
             numbers[0, columns] = np.ravel(leaves[i].value)
-        x: Float64 = self.space.layout.points(numbers)[0]
-        return x
+        return np.asarray(self.space.layout.points(numbers)[0])
 
 
 class _Axes:

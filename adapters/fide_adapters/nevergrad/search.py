@@ -1,8 +1,7 @@
-"""The FIDE of a Nevergrad optimizer: made late, and dumped without images.
+"""The FIDE of a Nevergrad optimizer: made with the first candidate, and dumped without images.
 
 Nevergrad makes many optimizers only to inspect them, lets users seed them afterwards, and pickles
-them.  So FIDE is made, and PyTorch imported, with the first candidate; and a dump holds FIDE's
-state as arrays, without images, encoder and networks.
+them.
 """
 
 from __future__ import annotations
@@ -64,14 +63,14 @@ class Search:
     workers: number of candidates that are evaluated at the same time; a generation has no fewer.
     """
 
-    def __init__(self, settings: Mapping[str, Any], target: Views | None, workers: int) -> None:
+    def __init__(self, settings: Mapping[str, Any], workers: int) -> None:
         self._settings, self._workers = settings, workers
         self.num_images = 0
         """Candidates told with an image."""
         self._num_losses = 0  # valid candidates told without
         self._fide: FIDE | None = None
         self._snapshot: dict[str, Any] | None = None  # of the FIDE to restore
-        self.set_target(target)
+        self.set_target(None if settings["target"] is None else settings["target"].views)
 
     def set_target(self, target: Views | None) -> None:
         """Targets and weights of the views; raises ProtocolError once the search has begun."""
@@ -97,11 +96,10 @@ class Search:
         s = self._settings
         options = {**(s["options"] or {}), "encoder": s["encoder"]}
         size = make_options(s["preset"], {**options, "popsize": s["popsize"]}).popsize
+        size = size or default_popsize(max(1, 0 if cube.space is None else cube.space.dim))
         if self.target is None:
             options = without_images(options)
         options = {"memory_mb": 0.0, **options}  # for the next target, which there never is
-        dim = 0 if cube.space is None else cube.space.dim
-        size = size or default_popsize(max(1, dim))
         self._fide = FIDE(
             cube.space or 0,  # which is refused
             _NO_TARGET if self.target is None else self.target.canonical,  # `_read` scales images
@@ -147,8 +145,8 @@ class Search:
                 )
             if result.image is not None:
                 batch = self._read(result.image)
-            if batch is not None and loss is None:
-                loss = float(self.fide.evaluator.evaluate(1, batch, encode=False).losses[0])
+                if loss is None:
+                    loss = float(self.fide.evaluator.evaluate(1, batch, encode=False).losses[0])
         if loss is None:
             raise LossError(
                 "a candidate is told with its loss, or with an image for a target: set "

@@ -28,8 +28,6 @@ from fide_adapters.image_loss import ImageReader
 from fide_plugins.evaluation import Evaluator
 from fide_plugins.types import Float32, Float64
 
-__all__ = ["BYTES", "Codec", "ImageEvaluator"]
-
 BYTES = 2600
 """Most bytes of an image; four characters of base64 hold three bytes."""
 

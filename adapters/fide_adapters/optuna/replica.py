@@ -131,17 +131,10 @@ class Replica:
         return bool(np.abs(self._snap(self.candidate(slot).x) - x).max() <= _ROUNDING)
 
     def tell(
-        self,
-        x: Float64,
-        loss: float,
-        tokens: Tensor | None = None,
-        *,
-        generation: int | None = None,
-        slot: int = 0,
-        proposed: bool = False,
-        over: bool | None = None,
-        guided: bool | None = None,
-    ) -> Role:
+        self, x: Float64, loss: float, tokens: Tensor | None = None, *,
+        generation: int | None = None, slot: int = 0, proposed: bool = False,
+        over: bool | None = None, guided: bool | None = None,
+    ) -> Role:  # fmt: skip
         """Next entry of the log; says what it counts for.
 
         x: (d,) in [0, 1], what was rendered.  tokens: (T, C) of its image, if that is known.
@@ -233,25 +226,19 @@ class Replica:
     def state_dict(self) -> dict[str, Any]:
         """Everything but the optimizer's settings; arrays are those in use, not copies."""
         return {
-            "optimizer": as_arrays(self.optimizer.state_dict()),
-            "generation": self.generation,
-            "began": self.began,
-            "guided": self.guided,
-            "batches": self._batches,
+            "optimizer": as_arrays(self.optimizer.state_dict()), "generation": self.generation,
+            "began": self.began, "guided": self.guided, "batches": self._batches,
             "taken": self._taken,
-        }
+        }  # fmt: skip
 
     @classmethod
     def from_state(
-        cls,
-        optimizer: FIDE,
-        state: Mapping[str, Any],
-        snap: Callable[[Float64], Float64] = np.copy,
+        cls, optimizer: FIDE, state: Mapping[str, Any], snap: Callable[[Float64], Float64] = np.copy
     ) -> Replica:
         """Go on where `state_dict` was taken, with a new optimizer of the same settings."""
         replica = cls(optimizer, snap)
         optimizer.load_state_dict(state["optimizer"])
-        replica.generation, replica.began = state["generation"], state["began"]
-        replica.guided = state["guided"]
+        for name in ("generation", "began", "guided"):
+            setattr(replica, name, state[name])
         replica._batches, replica._taken = dict(state["batches"]), set(state["taken"])
         return replica

@@ -25,8 +25,6 @@ from fide_plugins.errors import ImageError, OptionError, ProtocolError
 from fide_plugins.losses.base import as_losses
 from fide_plugins.views.views import views_of
 
-__all__ = ["FIDESampler", "image_objective"]
-
 _log = logging.getLogger(__name__)
 _MOST_STUDIES = 4
 
@@ -88,15 +86,9 @@ class FIDESampler(BaseSampler):
         **options: Any,
     ) -> None:
         _check_arguments(search_space, independent_sampler, constraints_func)
-        self._settings = Settings(
-            views_of(target, mask, weights, value_range),
-            loss,
-            preset,
-            sigma0,
-            device,
-            {"encoder": encoder, "popsize": popsize, **options},
-            seed,
-        )
+        options = {"encoder": encoder, "popsize": popsize, **options}
+        views = views_of(target, mask, weights, value_range)
+        self._settings = Settings(views, loss, preset, sigma0, device, options, seed)
         self._constraints_func = constraints_func
         self._search_space = None if search_space is None else dict(search_space)
         self._independent_sampler = independent_sampler or _NumberedSampler(seed)
@@ -178,12 +170,9 @@ class FIDESampler(BaseSampler):
             return self._state_of(study).ask(study, trial, search_space)
 
     def sample_independent(
-        self,
-        study: Study,
-        trial: FrozenTrial,
-        param_name: str,
+        self, study: Study, trial: FrozenTrial, param_name: str,
         param_distribution: BaseDistribution,
-    ) -> Any:
+    ) -> Any:  # fmt: skip
         """Return a value of the independent sampler, or of the first candidate in trial 0."""
         _refuse_several_objectives(study)
         own = isinstance(self._independent_sampler, _NumberedSampler) and not self._reseeded
@@ -191,20 +180,15 @@ class FIDESampler(BaseSampler):
             with self._lock:
                 state = self._state_of(study)
                 return state.first(study, trial, param_name, param_distribution)
-        return self._independent_sampler.sample_independent(
-            study, trial, param_name, param_distribution
-        )
+        sampled = self._independent_sampler.sample_independent
+        return sampled(study, trial, param_name, param_distribution)
 
     def before_trial(self, study: Study, trial: FrozenTrial) -> None:
         """Notify the independent sampler."""
         self._independent_sampler.before_trial(study, trial)
 
     def after_trial(
-        self,
-        study: Study,
-        trial: FrozenTrial,
-        state: TrialState,
-        values: Sequence[float] | None,
+        self, study: Study, trial: FrozenTrial, state: TrialState, values: Sequence[float] | None
     ) -> None:
         """Record constraints."""
         self._independent_sampler.after_trial(study, trial, state, values)
@@ -214,13 +198,9 @@ class FIDESampler(BaseSampler):
         elif self._constraints_func is not None:
             violations = [float(value) for value in self._constraints_func(trial)]
             write_attribute(storage_of(study), trial, CONSTRAINTS, violations)
-        if self._search_space is not None and state is TrialState.COMPLETE:
-            self._warn_of_space(self._search_space, trial)
-
-    def _warn_of_space(self, space: Mapping[str, BaseDistribution], trial: FrozenTrial) -> None:
-        """Warn of a completed trial that does not have the parameters of `space` as they are."""
+        space = self._search_space or {}
         wrong = [name for name in sorted(space) if trial.distributions.get(name) != space[name]]
-        if wrong:
+        if wrong and state is TrialState.COMPLETE:
             suggested = trial.distributions.get(wrong[0], "not at all")
             self._settings.warn(
                 "search_space",
@@ -308,12 +288,9 @@ class _NumberedSampler(RandomSampler):
         self._entropy = np.random.SeedSequence().entropy
 
     def sample_independent(
-        self,
-        study: Study,
-        trial: FrozenTrial,
-        param_name: str,
+        self, study: Study, trial: FrozenTrial, param_name: str,
         param_distribution: BaseDistribution,
-    ) -> Any:
+    ) -> Any:  # fmt: skip
         """Uniform value, equal for equal trial number and name."""
         key = (trial.number, zlib.crc32(param_name.encode()))
         seeds = np.random.SeedSequence(self._entropy, spawn_key=key).generate_state(1)
@@ -334,14 +311,11 @@ def _check_arguments(search_space: Any, independent_sampler: Any, constraints_fu
             f"{{'x': FloatDistribution(0, 1)}}, not {search_space!r}; leave it out where it is not "
             "known"
         )
-    if independent_sampler is not None and not isinstance(independent_sampler, BaseSampler):
-        raise OptionError(
-            f"independent_sampler must be an Optuna sampler, not {independent_sampler!r}"
-        )
+    if not isinstance(independent_sampler, BaseSampler | None):
+        why = f"independent_sampler must be an Optuna sampler, not {independent_sampler!r}"
+        raise OptionError(why)
     if constraints_func is not None and not callable(constraints_func):
-        raise OptionError(
-            f"constraints_func must be a function of a trial, not {constraints_func!r}"
-        )
+        raise OptionError(f"constraints_func is a function of a trial, not {constraints_func!r}")
 
 
 def _refuse_several_objectives(study: Study) -> None:

@@ -29,8 +29,6 @@ from fide_plugins.errors import SpaceError
 from fide_plugins.space import Choice, Float, Int, Kind, Space
 from fide_plugins.types import Float64
 
-__all__ = ["Distributions", "SearchSpace", "common"]
-
 Distributions = Mapping[str, BaseDistribution]
 
 _MOST_CHOICES = 1000  # of a `Choice`

@@ -20,10 +20,8 @@ from fide_plugins.fide import FIDE
 from fide_plugins.options import make_options, without_images
 from fide_plugins.space import Space
 from fide_plugins.types import Float64
-from fide_plugins.validation.points import new_seed, standard_deviation
+from fide_plugins.validation.points import new_seed, standard_deviations
 from fide_plugins.views import Views
-
-__all__ = ["Settings"]
 
 _NO_TARGET = np.zeros((16, 16, 3), np.float32)
 
@@ -32,17 +30,11 @@ class Settings:
     """The settings of a sampler; target None: nothing is proposed; seed None: that of the study."""
 
     def __init__(
-        self,
-        target: Views | None,
-        loss: str | Callable[..., object] | None,
-        preset: str,
-        sigma0: float,
-        device: str,
-        options: Mapping[str, Any],
-        seed: int | None,
-    ) -> None:
+        self, target: Views | None, loss: str | Callable[..., object] | None, preset: str,
+        sigma0: float, device: str, options: Mapping[str, Any], seed: int | None,
+    ) -> None:  # fmt: skip
         self._made = make_options(preset, options)
-        standard_deviation(sigma0)
+        standard_deviations(sigma0, 1)
         if target is None and loss is not None:
             raise OptionError("a loss of images needs a target: set target=")
         self._target, self._loss, self._options = target, loss, options
@@ -67,13 +59,9 @@ class Settings:
     def _make_evaluator(self) -> Evaluator:
         made = self._made
         return Evaluator(
-            self._target,
-            self._loss,
-            made.encoder,
-            device=self._device,
-            for_network=made.has_network,
-            **made.comparison,
-        )
+            self._target, self._loss, made.encoder, device=self._device,
+            for_network=made.has_network, **made.comparison,
+        )  # fmt: skip
 
     def make(self, space: Space, seed: int, guess: Float64 | None = None, **changed: Any) -> FIDE:
         """Optimizer in a space; all share one encoder and one loss.
@@ -87,16 +75,9 @@ class Settings:
         else:
             options["encoder"], loss = self.images.evaluator.encoder, self.images.evaluator.loss
         return FIDE(
-            space,
-            _NO_TARGET if self._target is None else self._target,
-            loss=loss,
-            seed=seed,
-            x0=guess,
-            sigma0=self._sigma0,
-            preset=self._preset,
-            device=self._device,
-            **options,
-        )
+            space, _NO_TARGET if self._target is None else self._target, loss=loss, seed=seed,
+            x0=guess, sigma0=self._sigma0, preset=self._preset, device=self._device, **options,
+        )  # fmt: skip
 
 
 def _described(distribution: Any) -> str:

@@ -28,8 +28,6 @@ from fide_adapters.optuna.trials import History, News, TrialOrder, loss_of
 from fide_plugins.fide import FIDE
 from fide_plugins.space import Float, Space
 
-__all__ = ["StudyOptimizer", "StudyState"]
-
 _MOST_OPTIMIZERS = 4
 _MOST_FEATURES = 1000  # trials; none waits as long as that while this sampler is in use
 _YOUNG = 64  # trials; beyond, all workers have read the same seed
@@ -162,16 +160,11 @@ class StudyOptimizer:
         """Record and parameters of trial `number`."""
         slot = number - self._first if number >= self._first else _EARLIER + number
         candidate = self.replica.newest(slot, self._order.pending(trials, number))
+        replica, named = self.replica, (tuple(skipped), tuple(late[:MOST_NAMED]))
         ask = Ask(
-            optimizer=self.digest,
-            generation=self.replica.generation,
-            slot=slot,
-            began=self.replica.began,
-            guided=self.replica.guided,
-            proposed=candidate.proposed,
-            skipped=tuple(skipped),
-            late=tuple(late[:MOST_NAMED]),
-        )
+            self.digest, replica.generation, slot, replica.began, replica.guided,
+            candidate.proposed, *named,
+        )  # fmt: skip
         return ask, self.space.decode(candidate.x)
 
     def __getstate__(self) -> Mapping[str, Any]:

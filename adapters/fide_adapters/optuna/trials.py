@@ -31,8 +31,6 @@ from optuna.trial import FrozenTrial, TrialState
 
 from fide_adapters.optuna.storage import ASK, MOST_NAMED, Ask, Trials, WarnOnce, read_ask
 
-__all__ = ["CONSTRAINTS", "History", "News", "TrialOrder", "loss_of"]
-
 _PATIENCE = 4  # how much longer a trial may take than the slowest of the later ones
 CONSTRAINTS = "constraints"  # Optuna's attribute: a list until Optuna 4, then one for each
 _INFEASIBLE = 1e100  # above any meaningful loss

@@ -16,8 +16,6 @@ from torch import Tensor, nn
 from fide_plugins.encoders.pretrained import weights
 from fide_plugins.encoders.pretrained.weights import Published
 
-__all__ = ["ALEXNET", "VGG19", "Architecture", "Backbone", "load"]
-
 _URL = "https://download.pytorch.org/models/"
 
 

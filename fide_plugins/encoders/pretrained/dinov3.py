@@ -22,8 +22,6 @@ from fide_plugins.errors import WeightsMismatchError, WeightsNotFoundError
 from fide_plugins.runtime.devices import digest, has_bfloat16
 from fide_plugins.runtime.machine import missing
 
-__all__ = ["DEFAULT", "DinoEncoder"]
-
 DEFAULT = "facebook/dinov3-vits16-pretrain-lvd1689m"
 KINDS = ("dinov3_vit", "dinov2", "dinov2_with_registers")
 _FILES = ["config.json", "preprocessor_config.json", "*.safetensors", "*.safetensors.index.json"]

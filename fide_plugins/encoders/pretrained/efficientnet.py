@@ -18,8 +18,6 @@ from fide_plugins.errors import OptionError
 from fide_plugins.runtime.devices import digest
 from fide_plugins.runtime.machine import missing
 
-__all__ = ["EfficientNetEncoder"]
-
 MEAN, STD = 127 / 255, 128 / 255
 """Of the colors, by which images were normalized in training: `efficientnet_lite_builder.py`,
 https://github.com/tensorflow/tpu/tree/master/models/official/efficientnet/lite."""

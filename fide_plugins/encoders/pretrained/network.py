@@ -12,8 +12,6 @@ from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.encoders.patch import patches, resized
 from fide_plugins.runtime.devices import batch_size, in_batches
 
-__all__ = ["IMAGENET_MEAN", "IMAGENET_STD", "NetworkEncoder"]
-
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
 

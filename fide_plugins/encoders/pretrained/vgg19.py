@@ -16,8 +16,6 @@ from fide_plugins.encoders.pretrained.network import NetworkEncoder
 from fide_plugins.errors import OptionError
 from fide_plugins.runtime.devices import digest
 
-__all__ = ["VGG19Encoder"]
-
 _CONVOLUTIONS = (2, 2, 4, 4, 4)  # of each block
 _WIDTHS = (64, 128, 256, 512, 512)
 # Name of a layer: its block, and its index; a pooling follows each block.

@@ -18,8 +18,6 @@ from torch import Tensor, nn
 from fide_plugins.errors import WeightsMismatchError, WeightsNotFoundError
 from fide_plugins.runtime.machine import missing
 
-__all__ = ["Published", "check_finite", "fill", "read"]
-
 
 @dataclass(frozen=True, slots=True)
 class Published:

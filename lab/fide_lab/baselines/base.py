@@ -1,15 +1,7 @@
 """What all baselines share: ask and tell, generations, the best point, saving, features of images.
 
-A baseline says how it draws candidates (`_sample`), what it learns from a complete generation
-(`_update`), and where its search stands (`recommend`).
-
-*Generations* are kept by `fide_plugins.population`, as FIDE's are.  `_update` receives candidates
-exactly as they were drawn, in the order in which they were asked.  *Injected candidates* were never
-asked, were told before, or were asked before a restart: they can become `best`, and do not move the
-search.  *Losses that are NaN or infinite* are counted, rank last, and never become `best`.
-
-*Saving.*  A baseline is saved as what was asked and told, and loading runs it again: nothing of a
-library's inner state has to be stored, and networks are trained again.
+A baseline is saved as what was asked and told, and loading runs it again: nothing of a library's
+inner state has to be stored.
 """
 
 from __future__ import annotations
@@ -21,7 +13,6 @@ from abc import abstractmethod
 from array import array as numbers
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -76,6 +67,10 @@ _INJECTED = -1
 class Baseline(Saved):
     """An optimizer over [0, 1]^dim.
 
+    It says how it draws candidates (`_sample`), what it learns from a complete generation, as it
+    was drawn (`_update`), and where its search stands (`recommend`).  Candidates that are not
+    pending can become `best`, and do not move the search; NaN and infinity rank last.
+
     dim: number of parameters.
     target: image to fit; needed only where `tell` is to compute losses from images.
     loss: name, callable, or None for "mse"; see `fide_plugins.losses`.
@@ -128,8 +123,7 @@ class Baseline(Saved):
         self._best: Solution | None = None
         self._population = Population()
         self._told_features: dict[int, Float32] = {}  # (f,) each, of this generation, by candidate
-        # The history. -(n + 1): n > 0 candidates were asked; i >= 0: candidate i was told; -1: an
-        # injected one.
+        # -(n + 1): n > 0 candidates were asked; i >= 0: candidate i was told; -1: an injected one
         self._events = numbers("q")
         self._losses = numbers("d")  # told
         self._injected = numbers("d")  # points told that were not pending
@@ -252,8 +246,7 @@ class Baseline(Saved):
 
     def settings(self) -> dict[str, Any]:
         """Keyword arguments of the constructors, which are attributes, but `loss` and `device`."""
-        every = (vars(kind).get("__init__") for kind in type(self).__mro__)
-        inits = [init for init in every if init is not None]
+        inits = [vars(kind)["__init__"] for kind in type(self).__mro__ if "__init__" in vars(kind)]
         named = (p for init in inits for p in inspect.signature(init).parameters.values())
         names = {p.name for p in named if p.kind is p.KEYWORD_ONLY} - {"loss", "device"}
         own = {name: getattr(self, name) for name in sorted(names)}
@@ -313,9 +306,7 @@ class Baseline(Saved):
         told, injected = sum(event >= _INJECTED for event in events), events.count(_INJECTED)
         seen = [None] * told if state["features"] is None else list(state["features"])
         if (told, told, injected) != (len(state["losses"]), len(seen), len(state["injected"])):
-            raise ValueError(
-                f"a history of {told} results, {injected} of them injected, lacks some"
-            )
+            raise ValueError(f"a history of {told} results, {injected} injected, lacks some")
         points, losses = iter(state["injected"]), iter(state["losses"].tolist())
         features = iter(seen)
         pending: dict[int, Float64] = {}
@@ -352,13 +343,10 @@ _SCHEMA: Schema = {
 class ImageBased(Baseline):
     """A baseline to which images must be told; losses beside them are optional, as always.
 
-    target: image to fit, required.
-    encoder: name in `fide_plugins.encoders`.
+    target: image to fit, required: ImageError (a ValueError) without it.
+    encoder: name in `fide_plugins.encoders`, whose `make` raises.
     channels: number of leading channels of its tokens that are used; None: all.  The first three of
         "dense" are the mean colors of (at most) 14 x 14 patches.
-
-    Raises OptionError, ImageError without a target (ValueErrors), or what
-    `fide_plugins.encoders.make` raises.
     """
 
     def __init__(
@@ -392,7 +380,7 @@ class ImageBased(Baseline):
         digest = self._encoder.weights_digest
         return None if digest is None else (self.encoder, digest)
 
-    @cached_property
+    @property
     def target_tokens(self) -> Tensor:
         """Tokens (T, C) of the target."""
         return self.tokens_of(self.target_features[None])[0]

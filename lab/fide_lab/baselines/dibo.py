@@ -28,6 +28,7 @@ from collections.abc import Callable, Iterator
 from copy import deepcopy
 from dataclasses import asdict, dataclass, fields
 from functools import cached_property, partial
+from itertools import chain
 from math import log, pi
 from typing import Any, ClassVar
 
@@ -49,10 +50,8 @@ MEMBERS = 5
 
 def perceptron(dim: int, width: int) -> nn.Sequential:
     """One layer in, three hidden ones, GELU after each, and one number out."""
-    layers: list[nn.Module] = [nn.Linear(dim, width), nn.GELU()]
-    for _ in range(3):
-        layers += [nn.Linear(width, width), nn.GELU()]
-    return nn.Sequential(*layers, nn.Linear(width, 1))
+    layers = [(nn.Linear(inputs, width), nn.GELU()) for inputs in (dim, width, width, width)]
+    return nn.Sequential(*chain(*layers), nn.Linear(width, 1))
 
 
 class Ensemble(nn.Module):
@@ -214,8 +213,9 @@ def program_likelihood(
     clean, noisy = float(sigmas[0]), float(sigmas[-1])
 
     def flow(sigma: float, y: Tensor) -> tuple[Tensor, Tensor]:
-        # 0 where the noise is least, 1 where it is largest
-        t = x.new_tensor(float(place_between(sigmas, sigma)) / (len(sigmas) - 1)).expand(len(x))
+        # 0 where the noise is least, 1 where it is largest; between them linear in its logarithm
+        place = float(np.interp(log(sigma), sigmas.log().numpy(), range(len(sigmas))))
+        t = x.new_tensor(place / (len(sigmas) - 1)).expand(len(x))
         return noise_and_divergence(predict, y * (1 + sigma**2) ** -0.5, t, signs)
 
     h = clean - noisy
@@ -241,14 +241,6 @@ def noise_and_divergence(
         point = x.detach().requires_grad_()
         (slope,) = torch.autograd.grad((predict(point, t) * signs).sum(), point)
     return velocity, (slope * signs).sum(dim=1)
-
-
-def place_between(sigmas: Tensor, sigma: float) -> Tensor:
-    """Index of sigma among rising numbers, linear in its logarithm between them."""
-    logs = sigmas.log()
-    level = sigmas.new_tensor(sigma).log().clamp(logs[0], logs[-1])
-    above = int(torch.searchsorted(logs, level).clamp(1, len(logs) - 1))
-    return above - 1 + (level - logs[above - 1]) / (logs[above] - logs[above - 1])
 
 
 JITTER = 1e-3  # noise on training points
@@ -336,12 +328,9 @@ class Round:
         """The best n (n, d) of all samples, by their score."""
         posterior, several = self.posterior, []
         for _ in range(self.options.proposals):
-            noise = draw_normal(
-                self.x.new_empty(n * self.options.proposals, self.x.shape[1]), self.generator
-            )
-            several.append(
-                self._improved(self.diffusion.denoise(posterior, noise, self.generator)[-1])
-            )
+            noise = self._noise(n * self.options.proposals)
+            drawn = self.diffusion.denoise(posterior, noise, self.generator)[-1]
+            several.append(self._improved(drawn))
         x = torch.cat(several)
         scores = torch.cat([self._score(part, self.generator) for part in several])
         return x[scores.argsort(descending=True, stable=True)[:n]]
@@ -363,15 +352,14 @@ class Round:
     def _chains(self, predict: Predict, pool: Tensor, rewards: Tensor) -> Tensor:
         """States (T + 1, batch, d): with equal chance its own, or noised points of the pool."""
         batch = self.options.batch
-        own = int(torch.randint(2, (), generator=self.generator)) == 0
-        if own:
-            noise = draw_normal(self.x.new_empty(batch, self.x.shape[1]), self.generator)
-            return self.diffusion.denoise(predict, noise, self.generator)
-        chosen = rewards.softmax(0).multinomial(batch, True, generator=self.generator)
-        x = pool[chosen]
-        return self.diffusion.noise(
-            x + POOL_JITTER * draw_normal(x, self.generator), self.generator
-        )
+        if int(torch.randint(2, (), generator=self.generator)) == 0:
+            return self.diffusion.denoise(predict, self._noise(batch), self.generator)
+        x = pool[rewards.softmax(0).multinomial(batch, True, generator=self.generator)]
+        x = x + POOL_JITTER * draw_normal(x, self.generator)
+        return self.diffusion.noise(x, self.generator)
+
+    def _noise(self, n: int) -> Tensor:
+        return draw_normal(self.x.new_empty(n, self.x.shape[1]), self.generator)
 
     def _batches(self, epochs: int) -> Iterator[tuple[Tensor, Tensor]]:
         """Training points, drawn with weights exp(y), as many an epoch as the buffer holds."""
@@ -413,9 +401,7 @@ class DiBO(Baseline):
     precision: "double" or "single".
 
     The other options are those of `Baseline`; `sigma0` is not used.  The defaults are those of
-    the FIDE paper, which took them from the authors' for problems of like size.
-
-    Raises OptionError (a ValueError).
+    the FIDE paper, which took them from the authors'.  Raises OptionError.
     """
 
     name: ClassVar[str] = "dibo"
@@ -468,10 +454,7 @@ class DiBO(Baseline):
     def _propose(self) -> Float64:
         """One round: candidates (popsize, d) from the buffer."""
         dtype = torch.float64 if self.precision == "double" else torch.float32
-        x, y = (
-            torch.as_tensor(self._points, dtype=dtype),
-            torch.as_tensor(-self._values, dtype=dtype),
-        )
+        x, y = (torch.as_tensor(one, dtype=dtype) for one in (self._points, -self._values))
         mean, std = x.mean(dim=0), x.std(dim=0) + 1e-7
         x, y = (x - mean) / std, (y - y.mean()) / (y.std() + 1e-7)
         proposed: Tensor = Round(self.round_options, x, y, self._generator).candidates(self.popsize)

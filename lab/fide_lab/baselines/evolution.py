@@ -7,16 +7,13 @@ from typing import Any, ClassVar
 import numpy as np
 
 from fide_lab.baselines.base import Baseline, quietly, worse_than
-from fide_plugins.errors import OptionError
 from fide_plugins.runtime.machine import missing
 from fide_plugins.types import Float32, Float64
+from fide_plugins.validation.options import one_of
 
 
 class Random(Baseline):
-    """Independent points from the uniform distribution on [0, 1]^dim; options of `Baseline`.
-
-    Raises OptionError (a ValueError).
-    """
+    """Independent uniform points; options of `Baseline`.  Raises OptionError."""
 
     name: ClassVar[str] = "random"
 
@@ -31,9 +28,6 @@ class Random(Baseline):
         pass
 
 
-RESTARTS = ("same", "ipop", "none")
-
-
 class CMA(Baseline):
     """CMA-ES of the library `cma`, at the population you choose.
 
@@ -45,9 +39,7 @@ class CMA(Baseline):
     restarts: "same" starts again with the same population, "ipop" doubles it each time
         (Auger and Hansen 2005), "none" goes on with the search as it is.
 
-    The other options are those of `Baseline`.
-
-    Raises OptionError (a ValueError).
+    The other options are those of `Baseline`.  Raises OptionError.
     """
 
     name: ClassVar[str] = "cma"
@@ -55,10 +47,8 @@ class CMA(Baseline):
     def __init__(
         self, dim: int, target: object = None, *, restarts: str = "same", **options: Any
     ) -> None:
-        if restarts not in RESTARTS:
-            raise OptionError(f"restarts must be one of {', '.join(RESTARTS)}, not {restarts!r}")
+        self.restarts = one_of("same", "ipop", "none")("restarts", restarts)
         super().__init__(dim, target, **options)
-        self.restarts = restarts
         self.starts = 0  # searches begun so far
         self._ended = (np.inf, np.full(self.dim, 0.5))  # as `_present`, the best that is over
         self._first_popsize = self.popsize
@@ -102,7 +92,9 @@ class CMA(Baseline):
 
     def _update(self, X: Float64, losses: Float64, features: Float32 | None) -> None:
         with quietly():
-            self._es.tell(list(X), _finite(losses).tolist())
+            good = np.isfinite(losses)  # it calculates with losses: the same ranking, no infinity
+            worst = worse_than(float(np.max(losses[good], initial=0.0)))
+            self._es.tell(list(X), np.where(good, losses, worst).tolist())
             over = self.restarts != "none" and bool(self._es.stop())
         if over:
             self._ended = min(self._ended, self._present(), key=lambda search: search[0])
@@ -117,12 +109,3 @@ class CMA(Baseline):
     def settings(self) -> dict[str, Any]:
         """Arguments of the constructor, by name, but for `loss` and `device`."""
         return {**super().settings(), "popsize": self._first_popsize}
-
-
-def _finite(losses: Float64) -> Float64:
-    """Losses with the same ranking and no infinity, since the library calculates with them."""
-    good = np.isfinite(losses)
-    if good.all():
-        return losses
-    worst = float(np.max(losses[good], initial=0.0))
-    return np.where(good, losses, worse_than(worst))

@@ -1,9 +1,4 @@
-"""Baselines that learn from features of images: Kalman inversion, diffusion models in two uses.
-
-`Inverse` is inversion without evolution (Sec. 4.1): a diffusion model of the whole box, trained
-once on uniform points; its samples (`PosteriorSampler`) cover all modes of the posterior.
-`FIDEAnnealing` is FIDE with dual annealing in the place of CMA-ES (supplement S4).
-"""
+"""Baselines that learn from features of images: Kalman inversion, diffusion models in two uses."""
 
 from __future__ import annotations
 
@@ -153,7 +148,7 @@ def whitened(network: Network, mean: Tensor | float, std: Tensor | float) -> Den
 
 
 class Inverse(ImageBased):
-    """Samples of the posterior; options of `ImageBased` and `Baseline`; `sigma0` is not used.
+    """Inversion without evolution (Sec. 4.1): samples that cover all modes of the posterior.
 
     popsize: points that are drawn at a time, 100.
     budget: evaluations that are planned.
@@ -162,8 +157,7 @@ class Inverse(ImageBased):
     batch_size, width, blocks: of the training and the network, see `denoiser`.
 
     The features of all uniform points are kept in memory until the training.  It cannot be resumed.
-
-    Raises OptionError, and ImageError without a target (ValueErrors).
+    The other options are those of `ImageBased`; `sigma0` is not used.  Raises OptionError.
     """
 
     name: ClassVar[str] = "inverse"
@@ -220,7 +214,7 @@ LEAST_NOISE = 1e-12  # variance; an ensemble that has collapsed on the answer is
 
 
 class EKI(ImageBased):
-    """Ensemble Kalman inversion from N(0.5, sigma0^2); options of `ImageBased` and `Baseline`.
+    """Ensemble Kalman inversion from N(0.5, sigma0^2); options of `ImageBased`.
 
     With x (k, d) the ensemble, e (k, f) the features of its images, e* those of the target, and
     X, E the deviations from the means over sqrt(k - 1), every generation is (Iglesias, Law and
@@ -236,7 +230,7 @@ class EKI(ImageBased):
     channels: of the tokens of the encoder; by default the mean colors of 14 x 14 patches.
     patience: generations without a better loss after which an ensemble is given up.
 
-    Raises OptionError, and ImageError without a target (ValueErrors).
+    Raises OptionError, and ImageError without a target.
     """
 
     name: ClassVar[str] = "eki"
@@ -361,10 +355,7 @@ class FIDEAnnealing(ImageBased, Sequential):
     encoder, channels: of the images, see `ImageBased`; the paper's simplest by default.
     step: of the finite differences of the local search; None: SciPy's own, 1e-8.
 
-    The other options are those of `Baseline`; popsize is 1, and another one has no effect but a
-    warning; `sigma0` is not used.
-
-    Raises OptionError and ImageError without a target (ValueErrors).
+    The other options are those of `ImageBased`; `sigma0` is not used.  Raises OptionError.
     """
 
     name: ClassVar[str] = "fide-annealing"
@@ -386,13 +377,9 @@ class FIDEAnnealing(ImageBased, Sequential):
         self.epochs = whole_number("epochs", epochs, 1)
         self.step = None if step is None else positive("step", step)
         self._rng = np.random.default_rng(self.seed)
-        from fide_plugins.proposers.diffusion import DiffusionProposer
-
         self._proposer = DiffusionProposer(self.dim, seed=self.seed, epochs=self.epochs)
         self._visits = Visits(partial(_denoise, self._proposer, self.target_tokens))
-        self._seen: list[
-            tuple[Float64, Float32]
-        ] = []  # points and features since the last training
+        self._seen: list[tuple[Float64, Float32]] = []  # since the last training
 
     def _search(self) -> Search:
         x0 = np.full(self.dim, 0.5) if self.starts == 0 else self._rng.random(self.dim)

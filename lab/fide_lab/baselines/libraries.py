@@ -36,37 +36,29 @@ class _Cancelled(BaseException):
     """Raised in the library's thread, through it, to end it."""
 
 
-class _Channel:
-    """The queues between the two threads."""
+def _work(search: Search, points: SimpleQueue[Any], answers: SimpleQueue[Any]) -> None:
+    """All that the thread does; at the end there is None, or an error, in place of a point."""
 
-    def __init__(self) -> None:
-        self.points: SimpleQueue[Float64 | BaseException | None] = SimpleQueue()
-        self.answers: SimpleQueue[Any] = SimpleQueue()
-
-    def evaluate(self, x: Float64) -> Any:
-        """The library's function, in its thread."""
-        self.points.put(np.array(x, np.float64))
-        answer = self.answers.get()
+    def evaluate(x: Float64) -> Any:
+        points.put(np.array(x, np.float64))
+        answer = answers.get()
         if isinstance(answer, _Cancelled):
             raise answer
         return answer
 
-    def work(self, search: Search) -> None:
-        """All that the thread does."""
-        try:
-            search(self.evaluate)
-        except _Cancelled:
-            return
-        except BaseException as error:
-            self.points.put(error)
-        else:
-            self.points.put(None)
+    try:
+        search(evaluate)
+        points.put(None)
+    except _Cancelled:
+        return
+    except BaseException as error:
+        points.put(error)
 
-    def cancel(self, thread: threading.Thread) -> None:
-        """End the search and its thread."""
-        self.answers.put(_Cancelled())
-        if thread is not threading.current_thread():
-            thread.join()
+
+def _cancel(answers: SimpleQueue[Any], thread: threading.Thread) -> None:
+    answers.put(_Cancelled())
+    if thread is not threading.current_thread():
+        thread.join()
 
 
 class ReverseCommunication:
@@ -74,19 +66,21 @@ class ReverseCommunication:
 
     search: must not refer to this object, or its thread would keep it alive.
     around: entered whenever the search goes on, and left at its next point.
+    over: whether the search is done.
     """
 
     def __init__(
         self, search: Search, around: Callable[[], AbstractContextManager[Any]] = nullcontext
     ) -> None:
-        self._around, self._channel = around, _Channel()
-        work = self._channel.work
-        self._thread = threading.Thread(target=work, args=(search,), daemon=True)
+        self._around = around
+        self._points: SimpleQueue[Any] = SimpleQueue()
+        self._answers: SimpleQueue[Any] = SimpleQueue()
+        work = search, self._points, self._answers
+        self._thread = threading.Thread(target=_work, args=work, daemon=True)
         self._end: weakref.finalize[..., Any] | None = None
         self._point: Float64 | None = None
         self._running = False  # whether the search works; still so after Ctrl-C in the meantime
         self.over = False
-        """Whether the search is done."""
 
     def point(self) -> Float64 | None:
         """Point (d,) whose value the search waits for; None when it is over.
@@ -94,31 +88,27 @@ class ReverseCommunication:
         Raises whatever the search raised.
         """
         if self._end is None:
-            self._end = weakref.finalize(self, self._channel.cancel, self._thread)
+            self._end = weakref.finalize(self, _cancel, self._answers, self._thread)
             self._go_on(self._thread.start)
         if self._running:  # Ctrl-C came while it was waited for
-            with self._around():
-                self._wait()
+            self._go_on(lambda: None)
         return self._point
 
     def answer(self, value: Any) -> None:
         """Give the value at the point, and let the search go on to its next one."""
         if not self.over:
-            self._go_on(lambda: self._channel.answers.put(value))
+            self._go_on(lambda: self._answers.put(value))
 
     def _go_on(self, start: Callable[[], None]) -> None:
         with self._around():
             self._running = True
             start()
-            self._wait()
-
-    def _wait(self) -> None:
-        point = self._channel.points.get()
-        self._running = False
-        self._point = point if isinstance(point, np.ndarray) else None
-        self.over = self._point is None
-        if isinstance(point, BaseException):
-            raise point
+            point = self._points.get()
+            self._running = False
+            self._point = point if isinstance(point, np.ndarray) else None
+            self.over = self._point is None
+            if isinstance(point, BaseException):
+                raise point
 
 
 class Sequential(Baseline):
@@ -206,9 +196,7 @@ class DualAnnealing(Sequential):
     step: of the finite differences; None: SciPy's own, 1e-8, by which an image of 32-bit numbers
         does not change.  `lab/reports/baselines.md` has both.
 
-    `sigma0` is not used; popsize is 1, and another one has no effect but a warning.
-
-    Raises OptionError (a ValueError).
+    `sigma0` is not used.  Raises OptionError.
     """
 
     name: ClassVar[str] = "dual-annealing"
@@ -222,10 +210,8 @@ class DualAnnealing(Sequential):
 
     def _search(self) -> Search:
         x0 = np.full(self.dim, 0.5) if self.starts == 0 else self._rng.random(self.dim)
-        if self.step is None:
-            return partial(anneal, x0=x0, rng=self._rng)
-        local = descent(self.dim, self.step)
-        return partial(anneal, x0=x0, rng=self._rng, minimizer_kwargs=local)
+        local = {} if self.step is None else {"minimizer_kwargs": descent(self.dim, self.step)}
+        return partial(anneal, x0=x0, rng=self._rng, **local)
 
 
 def anneal(function: Any, x0: Float64, rng: np.random.Generator, **options: Any) -> None:
@@ -236,13 +222,8 @@ def anneal(function: Any, x0: Float64, rng: np.random.Generator, **options: Any)
 
 
 def descent(dim: int, step: float | None) -> dict[str, Any]:
-    """Arguments of `scipy.optimize.minimize` for the local search, as `dual_annealing` has them.
-
-    step: of the finite differences; None: SciPy's own.
-    """
-    differences = {} if step is None else {"eps": step}
-    longest = min(max(6 * dim, 100), 1000)
-    options = {"maxiter": longest, **differences}
+    """Arguments of `scipy.optimize.minimize` for the local search, as `dual_annealing` has them."""
+    options = {"maxiter": min(max(6 * dim, 100), 1000)} | ({} if step is None else {"eps": step})
     return {"method": "L-BFGS-B", "bounds": [(0.0, 1.0)] * dim, "options": options}
 
 
@@ -262,11 +243,10 @@ class DFOLS(ImageBased, Sequential):
     channels: of the tokens of the encoder; by default the mean colors of 14 x 14 patches.
     radius: of the first trust region, at most 0.5.
 
-    The loss only decides which point is `best`.  The other options are those of `ImageBased` and
-    `Baseline`; popsize is 1, and another one has no effect but a warning.
+    The loss only decides which point is `best`.  The other options are those of `ImageBased`.
 
-    Raises OptionError, ImageError without a target (ValueErrors), and DependencyError (an
-    ImportError) without DFO-LS, which is under the GPL: pip install DFO-LS.
+    Raises also DependencyError (an ImportError) without DFO-LS, which is under the GPL: pip install
+    DFO-LS.
     """
 
     name: ClassVar[str] = "dfols"
@@ -291,10 +271,8 @@ class DFOLS(ImageBased, Sequential):
         self._rng = np.random.default_rng(self.seed)
 
     def _search(self) -> Search:
-        if self.starts == 0:
-            x0 = np.clip(0.5 + self.sigma0 * self._rng.standard_normal(self.dim), 0.0, 1.0)
-        else:
-            x0 = self._rng.random(self.dim)
+        near = 0.5 + self.sigma0 * self._rng.standard_normal(self.dim) if self.starts == 0 else None
+        x0 = self._rng.random(self.dim) if near is None else np.clip(near, 0.0, 1.0)
         return partial(least_squares, x0=x0, radius=self.radius)
 
     def _answer(self, loss: float, features: Float32 | None) -> Float64:
@@ -444,7 +422,7 @@ class Optuna(Framework):
 def nevergrad(method: str) -> type[Nevergrad]:
     """Class of the optimizer `method` of Nevergrad, called "nevergrad:METHOD" here.
 
-    Raises DependencyError (an ImportError) without Nevergrad, UnknownNameError for other names.
+    Raises DependencyError (an ImportError) without the package, UnknownNameError for other names.
     """
     try:
         with quietly():
@@ -457,10 +435,7 @@ def nevergrad(method: str) -> type[Nevergrad]:
 
 
 def optuna(method: str) -> type[Optuna]:
-    """Class of the sampler `method` of Optuna, called "optuna:METHOD" here.
-
-    Raises DependencyError (an ImportError) without Optuna, UnknownNameError for other names.
-    """
+    """Class of the sampler `method` of Optuna, "optuna:METHOD" here; raises as `nevergrad`."""
     try:
         from optuna import samplers
     except ImportError as error:

@@ -30,8 +30,6 @@ from fide_plugins.runtime.registry import Referent, module_fingerprint, shown_tr
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.points import as_points, whole_number
 
-__all__ = ["Own", "own"]
-
 _REFERENT = Referent(
     "optimizer",
     "a class with ask and tell",
@@ -115,9 +113,8 @@ class Own(Baseline):
         self._tried = True
         with self._called():
             said = self._user.recommend()
-        return np.asarray(
-            self._checked([said], 1, "recommend()", f"a point of shape ({self.dim},)")[0]
-        )
+        point = self._checked([said], 1, "recommend()", f"a point of shape ({self.dim},)")
+        return np.asarray(point[0])
 
     def settings(self) -> dict[str, Any]:
         """Arguments of the constructor, by name, but for `loss` and `device`."""
@@ -131,10 +128,10 @@ class Own(Baseline):
         return {**given, **settings["options"]}
 
     def _sample(self) -> Float64:
-        n, dim = self.popsize, self.dim
+        n = self.popsize
         with self._called():
             asked = self._user.ask(n)
-        return self._checked(asked, n, f"ask({n})", f"candidates of shape ({n}, {dim})")
+        return self._checked(asked, n, f"ask({n})", f"candidates of shape ({n}, {self.dim})")
 
     def _checked(self, given: Any, n: int, method: str, what: str) -> Float64:
         """Points (n, dim) that a method of the user's returned."""
@@ -143,9 +140,8 @@ class Own(Baseline):
             if len(X) != n:
                 raise PointsError(f"X has {len(X)} rows")
         except PointsError as error:
-            raise PointsError(
-                f"{method} of {self.name} must return {what} in [0, 1]: {error}"
-            ) from error
+            rule = f"{method} of {self.name} must return {what} in [0, 1]"
+            raise PointsError(f"{rule}: {error}") from error
         return X
 
     def _update(self, X: Float64, losses: Float64, features: Float32 | None) -> None:
@@ -175,26 +171,22 @@ def own(optimizer: str | type) -> type[Own]:
     else:
         found, source = optimizer, None
     name = optimizer if isinstance(optimizer, str) else optimizer.__name__
-    _check_constructor(name, found)
-    if isinstance(found, type):
-        _check_methods(name, found)
-    return type("Own", (Own,), {"name": name, "made_by": staticmethod(found), "source": source})
-
-
-def _check_constructor(name: str, found: Callable[..., Any]) -> None:
-    parameters = inspect.signature(found).parameters.values()
-    needed = [p.name for p in parameters if p.default is p.empty and p.kind is not p.VAR_KEYWORD]
-    strange = [name for name in needed if name not in _GIVEN]
-    if strange or not any(p.name == "dim" for p in parameters):
+    parameters = inspect.signature(found).parameters
+    needed = [p for p in parameters.values() if p.default is p.empty]
+    strange = [p.name for p in needed if p.kind is not p.VAR_KEYWORD and p.name not in _GIVEN]
+    if strange or "dim" not in parameters:
         what = f"needs {strange[0]!r} too" if strange else "has no dim"
         raise OptionError(
             f"the constructor of {name} must have a parameter dim, and may have target, seed "
             f"and budget; it {what}: {inspect.signature(found)}; give other parameters a default"
         )
+    if isinstance(found, type):  # before anything is rendered
+        _check_methods(name, found)
+    return type("Own", (Own,), {"name": name, "made_by": staticmethod(found), "source": source})
 
 
 def _check_methods(optimizer: str, found: Any) -> None:
-    """Check `ask` and `tell` of a class or an object; OptionError if they break the protocol."""
+    """Raise OptionError if `ask` and `tell` of a class or an object break the protocol."""
     first = (None,) if isinstance(found, type) else ()  # self
     forms = {"ask": "ask(n)", "tell": "tell(X, losses) or tell(X, images, losses)"}
     for name, form in forms.items():
@@ -206,6 +198,5 @@ def _check_methods(optimizer: str, found: Any) -> None:
         try:
             signature.bind(*first, *range(given))
         except TypeError as error:
-            raise OptionError(
-                f"{name} of {optimizer} must be {form}, not {name}{signature}: {error}"
-            ) from None
+            wrong = f"{name}{signature}: {error}"
+            raise OptionError(f"{name} of {optimizer} must be {form}, not {wrong}") from None

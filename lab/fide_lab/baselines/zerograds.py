@@ -34,14 +34,9 @@ M = TypeVar("M", bound=nn.Module)
 
 
 def make(
-    build: Callable[[], M],
-    generator: torch.Generator,
-    dtype: torch.dtype = torch.float32,
+    build: Callable[[], M], generator: torch.Generator, dtype: torch.dtype = torch.float32
 ) -> M:
-    """Module that `build` describes, of linear layers and layer norms, with PyTorch's usual law.
-
-    Weights and offsets of a linear layer: uniform in +-1 / sqrt(inputs).
-    """
+    """Module of linear layers, uniform in +-1 / sqrt(inputs), and layer norms."""
     with torch.device("meta"):
         module = build()
     module.to_empty(device="cpu")
@@ -93,9 +88,7 @@ class ZeroGrads(Baseline):
     proxy_rate: of the network.
     sigma0: standard deviation of the offsets, at all times.
 
-    The other options are those of `Baseline`.
-
-    Raises OptionError (a ValueError).
+    The other options are those of `Baseline`.  Raises OptionError.
     """
 
     name: ClassVar[str] = "zerograds"
@@ -111,11 +104,9 @@ class ZeroGrads(Baseline):
         proxy_rate: float = 1e-2,
         **options: Any,
     ) -> None:
-        if batch is None and popsize is None:
-            batch = BATCH
-        elif batch is None:
-            batch = (whole_number("popsize", popsize, 3) - 1) // 2
-            popsize = None  # the largest odd number that is not above it
+        if batch is None:  # the largest odd number that is not above popsize
+            batch = BATCH if popsize is None else (whole_number("popsize", popsize, 3) - 1) // 2
+            popsize = None
         self.batch = whole_number("batch", batch, 1)
         super().__init__(dim, target, popsize=popsize, **options)
         if self.popsize != 2 * self.batch + 1:
@@ -154,15 +145,12 @@ class ZeroGrads(Baseline):
         points = [self._unshifted[x.tobytes()] for x in X[learned]]
         self._unshifted.clear()
         with timed(self.times, "train"):
-            self._improve_parameter()
+            for _ in range(STEPS):
+                self._theta.grad = self._proxy.gradient(self._theta)
+                self._theta_adam.step()
+                self._theta.clamp_(0.0, 1.0)
             if points:
                 self._improve_proxy(np.array(points), losses[learned])
-
-    def _improve_parameter(self) -> None:
-        for _ in range(STEPS):
-            self._theta.grad = self._proxy.gradient(self._theta)
-            self._theta_adam.step()
-            self._theta.clamp_(0.0, 1.0)
 
     def _improve_proxy(self, points: Float64, losses: Float64) -> None:
         if self._scale == 0.0:

@@ -3,7 +3,7 @@
 COMMANDS = {
     "run": "fit a built-in task, or a test of your renderer",
     "compare": "compare optimizers on tasks",
-    "report": "write the page, tables and figures of a comparison",
+    "report": "write the page of a comparison",
     "tradeoff": "sweep options that trade speed for accuracy",
 }
 """What each is for."""

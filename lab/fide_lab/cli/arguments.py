@@ -62,12 +62,8 @@ def add_own_task(parser: argparse.ArgumentParser) -> None:
 
 
 def task_of(args: argparse.Namespace) -> str:
-    """Name of the task that --command makes: that of its program.
-
-    Raises OptionError if a command stands beside a task.
-    """
-    beside = args.task if "task" in args else args.tasks
-    if beside:
+    """Name of the task that --command makes: that of its program; OptionError beside a TASK."""
+    if args.task if "task" in args else args.tasks:
         raise OptionError("give a TASK or --command, not both")
     try:
         return Path(shlex.split(args.template)[0]).name or "command"
@@ -121,13 +117,6 @@ def add_suite_arguments(parser: argparse.ArgumentParser) -> None:
     add("--targets", type=whole(1), metavar="N", help="its first N targets of each scene (all)")
 
 
-def check_no_suite(args: argparse.Namespace) -> None:
-    """Raise OptionError for an argument that chooses a part of a suite where none is named."""
-    for name in ("scenes", "targets"):
-        if getattr(args, name) is not None:
-            raise OptionError(f"--{name} is of a suite; add --suite NAME, or leave it out")
-
-
 def suite_plan(args: argparse.Namespace) -> Any:
     """Plan of the chosen part; scenes that cannot be rendered here are left out, with a line.
 
@@ -140,7 +129,7 @@ def suite_plan(args: argparse.Namespace) -> Any:
         if getattr(args, name):
             flag = _FLAGS.get(name, "--" + name.replace("_", "-"))
             raise OptionError(f"{flag} has no meaning with --suite, which is fixed; leave it out")
-    configurations = [Configuration.parse(text) for text in args.optimizers]
+    configurations = list(map(Configuration.parse, args.optimizers))
     suite = read(args.suite)
     scenes, targets = suite.chosen(args.scenes, args.targets)
     plan = problems.plan(suite, configurations, scenes, targets, args.budget)
@@ -152,7 +141,6 @@ def suite_plan(args: argparse.Namespace) -> Any:
     if not left:
         raise OptionError(f"no scene of {suite.name} is left; choose others by --scenes")
     plan = problems.plan(suite, configurations, left, targets, args.budget)
-    runs = len(list(plan.runs()))
-    each = f"{counted(runs, 'run')} of {plan.budget} renders{' each' * (runs != 1)}"
-    note(f"{suite.name}: {each} (--scenes, --targets and --budget choose a part)")
+    runs = counted(len(list(plan.runs())), "run")
+    note(f"{suite.name}: {runs} of {plan.budget} renders (--scenes, --targets, --budget: a part)")
     return plan

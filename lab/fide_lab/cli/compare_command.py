@@ -24,7 +24,6 @@ from fide_lab.cli.arguments import (
     add_grid_arguments,
     add_own_task,
     add_suite_arguments,
-    check_no_suite,
     options_of,
     suite_plan,
     task_of,
@@ -34,8 +33,6 @@ from fide_lab.cli.running import execute_all, execute_comparisons
 from fide_plugins.cli.arguments import names, setting, whole
 from fide_plugins.cli.terminal import note, plain
 from fide_plugins.errors import OptionError
-
-__all__ = ["add_arguments", "execute"]
 
 _SEEDS, _BUDGET, _SIZE = 10, 5000, 224
 _METRICS = ("mse", "perceptual")
@@ -68,12 +65,10 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
 
     def run(comparison: Any) -> int:
-        from fide_lab.cli import report_command
+        from fide_lab.cli.report_command import make
 
-        threshold = dict(args.threshold)
-        return max(
-            _execute(comparison), report_command.make(args.out, None, threshold, "fide compare")
-        )
+        code = _execute(comparison)
+        return max(code, make(args.out, None, dict(args.threshold), "fide compare"))
 
     return execute_comparisons(args, command, lambda: _prepare(args, command), run)
 
@@ -85,7 +80,9 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> Any:
     if args.suite is not None:
         plan: Plan = suite_plan(args)
     else:
-        check_no_suite(args)
+        for name in ("scenes", "targets"):
+            if getattr(args, name) is not None:
+                raise OptionError(f"--{name} is of a suite; add --suite NAME, or leave it out")
         plan = _plan(args)
         if args.threshold:
             from fide_lab.report.page import check_thresholds
@@ -105,16 +102,10 @@ def _plan(args: argparse.Namespace) -> Any:
     metrics = args.metrics or list(dict.fromkeys([*losses, *_METRICS]))
     return Plan(
         tuple(args.tasks) if args.template is None else (task_of(args),),
-        tuple(Configuration.parse(text) for text in args.optimizers),
-        tuple(losses),
-        args.seeds or _SEEDS,
-        args.budget or _BUDGET,
-        args.size or _SIZE,
-        args.task_seed,
-        dict(args.task_set) | options_of(args),
-        dict(args.options),
-        tuple(metrics),
-    )
+        tuple(map(Configuration.parse, args.optimizers)), tuple(losses), args.seeds or _SEEDS,
+        args.budget or _BUDGET, args.size or _SIZE, args.task_seed,
+        dict(args.task_set) | options_of(args), dict(args.options), tuple(metrics),
+    )  # fmt: skip
 
 
 def _execute(comparison: Any) -> int:

@@ -16,8 +16,6 @@ from fide_plugins.errors import OptionError
 if TYPE_CHECKING:
     from fide_tasks.base import Task
 
-__all__ = ["execute"]
-
 _BUDGET, _SIDE = 5000, 224
 _SIGMA0 = 0.03  # around a start that was read off the picture: right but for its details
 
@@ -40,18 +38,11 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
         picture = images.load(image, max_side=args.size or _SIDE)
         task = fide_tasks.make(args.model, target=picture, **options)
         out = free_directory(args, f"{Path(image).stem}-{args.model}")
+        started = _start_options(args, task) | optimizer_options(args)
         run = harness.prepare(
-            task,
-            args.optimizer,
-            args.loss,
-            args.budget or _BUDGET,
-            args.seed,
-            task_options=options,
-            options={**_start_options(args, task), **optimizer_options(args)},
-            out=out,
-            resume=args.resume,
-            command=command,
-        )
+            task, args.optimizer, args.loss, args.budget or _BUDGET, args.seed,
+            task_options=options, options=started, out=out, resume=args.resume, command=command,
+        )  # fmt: skip
         if args.live:
             page.enter_context(page_of(out))
         return run
@@ -62,8 +53,7 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
 
 def _more(run: Any, result: Any) -> dict[str, Any]:
     """What the JSON of a fit has beside that of a run."""
-    status = run.optimizer.status
-    x = result.x_best
+    status, x = run.optimizer.status, result.x_best
     return {
         "params": None if x is None else run.task.space.decode(x),
         "status": None if status is None else status.code,
@@ -72,13 +62,11 @@ def _more(run: Any, result: Any) -> dict[str, Any]:
 
 def _start_options(args: argparse.Namespace, task: Task) -> dict[str, Any]:
     """Options x0 and sigma0 of the optimizer; OptionError if --start asks for what is not there."""
-    optimizer = args.optimizer or "fide"
-    if args.start == "center" or (args.start is None and optimizer != "fide"):
+    if args.start == "center" or (args.start is None and args.optimizer != "fide"):
         return {}
-    if optimizer != "fide":
-        raise OptionError(
-            f"--start picture is for the optimizer fide; {optimizer} begins at the center"
-        )
+    if args.optimizer != "fide":
+        why = f"--start picture is for the optimizer fide; {args.optimizer} begins at the center"
+        raise OptionError(why)
     x0 = task.start()
     if x0 is not None:
         return {"x0": x0.tolist(), "sigma0": _SIGMA0}

@@ -1,12 +1,11 @@
-"""Write the report of a comparison: one page, tables and figures.
+"""Write the report of a comparison: one page, and a table of all runs.
 
     fide report runs/first
     fide report runs/first -o comparison.html --threshold mse=0.001 --threshold spline/mse=0.05
     fide report runs/suite -o rivals.html --optimizers fide,cma
 
-The command writes one self-contained page, which needs no network. The same folder gets report.md,
-results.csv and figures/. If the page is called comparison.html, the files
-are comparison.md, comparison-results.csv, and so on.
+The command writes one self-contained page, which needs no network, and results.csv beside it
+(comparison-results.csv beside comparison.html).
 --optimizers shows some of the optimizers, such as those that have been run on every problem.
 """
 
@@ -19,8 +18,6 @@ from fide_lab.cli.arguments import thresholds
 from fide_plugins.cli.arguments import names, path
 from fide_plugins.cli.terminal import USAGE_ERRORS, complain, note, plain, warnings_as_notes
 from fide_plugins.errors import OptionError
-
-__all__ = ["add_arguments", "execute", "make"]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -31,8 +31,6 @@ from fide_plugins.cli.arguments import (
 from fide_plugins.cli.terminal import complain
 from fide_plugins.errors import OptionError
 
-__all__ = ["add_arguments", "execute"]
-
 _SIZE = 224
 
 
@@ -65,19 +63,11 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
 
     def prepare() -> harness.Run:
         return harness.prepare(
-            task,
-            args.optimizer,
-            args.loss,
-            args.budget,
-            args.seed,
-            size=args.size or _SIZE,
-            task_seed=args.task_seed,
-            task_options=_task_options(args),
-            options=learned | optimizer_options(args),
-            out=free_directory(args, task),
-            resume=args.resume,
-            command=command,
-        )
+            task, args.optimizer, args.loss, args.budget, args.seed, size=args.size or _SIZE,
+            task_seed=args.task_seed, task_options=_task_options(args),
+            options=learned | optimizer_options(args), out=free_directory(args, task),
+            resume=args.resume, command=command,
+        )  # fmt: skip
 
     return execute_run(args, command, prepare, task)
 

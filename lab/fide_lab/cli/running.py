@@ -28,18 +28,13 @@ from fide_plugins.errors import FideError, RenderError
 from fide_plugins.recording.parameters import lines
 from fide_plugins.runtime.messages import duration
 
-__all__ = ["execute_all", "execute_comparisons", "execute_run"]
-
 _MOST = 12  # parameters that are printed where a run is stopped
 
 
 def execute_run(
-    args: argparse.Namespace,
-    command: list[str],
-    prepare: Callable[[], Any],
-    what: str,
-    more: Callable[[Any, Any], dict[str, Any]] | None = None,
-) -> int:
+    args: argparse.Namespace, command: list[str], prepare: Callable[[], Any], what: str,
+    more: Callable[[Any, Any], dict[str, Any]] = lambda run, result: {},
+) -> int:  # fmt: skip
     """Prepare a `Run`, execute it, and print the result; returns the exit code.
 
     more: further totals of a run and its result, for --json.
@@ -64,8 +59,7 @@ def execute_run(
             note(f"fide {command[1]}: the run failed; its results so far are in {out}")
             return 1
         if args.json:
-            summary = result.summary() | ({} if more is None else more(run, result))
-            print(json.dumps(summary, allow_nan=False), flush=True)
+            print(json.dumps(result.summary() | more(run, result), allow_nan=False), flush=True)
         else:
             _report(result, run.out)
         return 0
@@ -83,11 +77,9 @@ def execute_run(
 
 
 def execute_comparisons(
-    args: argparse.Namespace,
-    command: list[str],
-    prepare: Callable[[], Any],
+    args: argparse.Namespace, command: list[str], prepare: Callable[[], Any],
     execute: Callable[[Any], int],
-) -> int:
+) -> int:  # fmt: skip
     """Prepare comparisons, and execute them; returns the exit code.
 
     execute: executes what `prepare` gave, and returns the exit code.
@@ -113,10 +105,8 @@ def execute_all(comparison: Any) -> int:
             remark, totals = f" ({plain(outcome.note)})" if outcome.note else "", outcome.totals
             said = outcome.kind
             if totals is not None:
-                said = (
-                    f"{number(totals['best_loss'])} after {totals['evaluations']} renders, "
-                    f"{duration(totals['wall_s'])}"
-                )
+                cost = f"{totals['evaluations']} renders, {duration(totals['wall_s'])}"
+                said = f"{number(totals['best_loss'])} after {cost}"
             note(f"[{done}/{total}] {outcome.key}: {said}{remark}")
 
     comparison.execute(on_outcome)
@@ -126,12 +116,9 @@ def execute_all(comparison: Any) -> int:
 
 
 def _execute(
-    command: list[str],
-    prepare: Callable[[], Any],
-    execute: Callable[[Any], int],
-    stopped: Callable[[Any], tuple[str, str]],
-    failed: str,
-) -> int:
+    command: list[str], prepare: Callable[[], Any], execute: Callable[[Any], int],
+    stopped: Callable[[Any], tuple[str, str]], failed: str,
+) -> int:  # fmt: skip
     """Prepare and execute; whatever goes wrong becomes messages and an exit code."""
     from fide_lab.run import Interrupted
 

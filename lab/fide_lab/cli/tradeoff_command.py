@@ -20,8 +20,6 @@ from fide_lab.cli.running import execute_all, execute_comparisons
 from fide_plugins.cli.arguments import names, whole
 from fide_plugins.cli.terminal import plain
 
-__all__ = ["add_arguments", "execute"]
-
 _SWEPT = ("preset", "popsize", "encoder")
 
 

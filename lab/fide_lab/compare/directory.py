@@ -21,9 +21,8 @@ from typing import Any, Literal
 
 from fide_lab.compare.plan import TARGETS, Checked, Plan, RunKey, target_file
 from fide_lab.run.kept_target import write_target
-from fide_plugins.recording.directory import TABLES, results_in
+from fide_plugins.recording.directory import TABLES, edited, file_of, results_in, versions_there
 from fide_plugins.recording.figures import as_png
-from fide_plugins.recording.sources import edited, file_of, versions_there
 from fide_plugins.recording.storage import (
     FORMAT,
     RunDirectoryError,
@@ -122,8 +121,10 @@ class ComparisonDirectory:
             files.remove_leftovers(folder, age=_OLD)  # another process may be at work here
 
     def _state(self, key: RunKey, run: dict[str, Any], versions: Mapping[str, str]) -> State:
-        state, lock = examine(self.path / key.folder, run, versions), self.path / key.folder / LOCK
-        return State("busy") if state.kind != "finished" and files.is_locked(lock) else state
+        folder = self.path / key.folder
+        state = examine(folder, run, versions)
+        busy = state.kind != "finished" and files.is_locked(folder / LOCK)
+        return State("busy") if busy else state
 
     def _check(self, theirs: dict[str, Any]) -> None:
         there, here = ({**one, "targets": None} for one in (theirs, self._settings))
@@ -189,9 +190,7 @@ def _check_contents(record: dict[str, Any]) -> None:
     if not isinstance(record["settings"]["targets"], dict) or not isinstance(record["calls"], list):
         raise ValueError("no settings, or no calls")
     for entry in record["cells"]:
-        task, loss, configuration, seed, identity = entry
-        texts = task, loss, configuration, identity
-        if not all(isinstance(text, str) for text in texts) or type(seed) is not int:
+        if [type(part) for part in entry] != [str, str, str, int, str]:
             raise ValueError(f"{entry!r} does not describe a run")
 
 
@@ -199,17 +198,11 @@ def _comparable(plan: Plan, settings: dict[RunKey, dict[str, Any]]) -> dict[str,
     task_options: dict[str, Any] = {}
     for run in settings.values():
         task_options |= run["task_options"]
-    common = {
-        "size": plan.size,
-        "budget": plan.budget,
-        "task_seed": plan.task_seed,
-        "task_options": task_options,
-        "options": plan.options,
-        "metrics": list(plan.metrics),
-        "targets": {key.task: run["target"] for key, run in settings.items()},
-    }
-    result: dict[str, Any] = json.loads(json.dumps(common))  # as it is read back
-    return result
+    names = ("size", "budget", "task_seed", "options", "metrics")
+    common = {name: getattr(plan, name) for name in names}
+    targets = {key.task: run["target"] for key, run in settings.items()}
+    text = json.dumps({**common, "task_options": task_options, "targets": targets})
+    return dict(json.loads(text))  # as it is read back
 
 
 def _check_empty(path: Path) -> None:

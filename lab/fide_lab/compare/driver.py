@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import secrets
 import shutil
-import signal
-import threading
 import traceback
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import FIRST_COMPLETED, wait
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -23,6 +19,8 @@ from fide_lab.compare.plan import Checked, Plan, RunKey, target_file
 from fide_lab.run import Interrupted, prepare as prepare_run
 from fide_lab.run.kept_target import read_target
 from fide_plugins.errors import CheckpointError, OptionError
+from fide_plugins.fitting.processes import Processes
+from fide_plugins.fitting.rendering import Failed, Rendered, Task
 from fide_plugins.recording.signals import Interrupts
 from fide_plugins.recording.storage import read_run
 from fide_plugins.runtime import files, machine
@@ -218,7 +216,7 @@ class Comparison:
             yield from map(work, keys)
 
 
-def _note_lost(out: Path, key: RunKey, why: str = "the process that ran it died") -> Outcome:
+def _note_lost(out: Path, key: RunKey, why: str) -> Outcome:
     folder = out / key.folder
     folder.mkdir(parents=True, exist_ok=True)  # it may have died before the run began
     files.write_text(folder / ERROR, why + "\n")
@@ -229,96 +227,30 @@ def _note_lost(out: Path, key: RunKey, why: str = "the process that ran it died"
 
 
 def in_processes(
-    work: Callable[[Any], Any], items: Sequence[Any], jobs: int, lost: Callable[[Any], Any]
+    work: Callable[[Any], Any], items: Sequence[Any], jobs: int, lost: Callable[[Any, str], Any]
 ) -> Iterator[Any]:
     """Results of `work` for all items by `jobs` processes, in order of completion.
 
-    work: a function that can be pickled.
-    lost: gives the result for an item whose process died.
+    lost: gives the result for an item whose process died, of it and how it did.
 
-    When the iterator is closed, or an exception is raised into it, the processes are told to stop.
-    Results that still arrive are dropped: the work has written them to files.
+    When the iterator is closed the processes are killed; runs go on from their last checkpoints.
     """
-    waiting, workers = list(reversed(items)), [_Worker() for _ in range(min(jobs, len(items)))]
-    idle, running = list(workers), dict[Future[Any], tuple[_Worker, Any]]()
+    pool = Processes(partial(_worked, work), min(jobs, len(items)))
+    waiting, running = list(reversed(items)), dict[Task, Any]()
     try:
         while waiting or running:
-            while waiting and idle:
-                worker, item = idle.pop(), waiting.pop()
-                try:
-                    running[worker.submit(work, item)] = worker, item
-                except BrokenProcessPool:  # the process died while it was idle
-                    worker.restart()
-                    idle.append(worker)
-                    yield lost(item)
-            done, _ = wait(running, return_when=FIRST_COMPLETED)
-            for future in done:
-                worker, item = running.pop(future)
-                idle.append(worker)
-                try:
-                    result = future.result()
-                except BrokenProcessPool:
-                    worker.restart()
-                    result = lost(item)
-                yield result
+            while waiting and len(running) < pool.number:
+                item = waiting.pop()
+                running[pool.submit(item)] = item
+            for task in wait(running, return_when=FIRST_COMPLETED).done:
+                item, made = running.pop(task), pool.outcome(task)
+                yield lost(item, made.reason) if isinstance(made, Failed) else made.image
     finally:
-        try:
-            for worker in workers:
-                worker.signal(signal.SIGTERM)
-            for worker in workers:
-                worker.join()
-        except BaseException:  # a second Ctrl-C does not wait
-            for worker in workers:
-                worker.signal(getattr(signal, "SIGKILL", signal.SIGTERM))
-            raise
+        pool.close()
 
 
-class _Worker:
-    """One process, which is replaced where it dies."""
-
-    def __init__(self) -> None:
-        self._pid = 0
-        self.restart()
-
-    def submit(self, work: Callable[[Any], Any], item: Any) -> Future[Any]:
-        self._pid = self._pid or self._pool.submit(os.getpid).result()  # for `signal`
-        return self._pool.submit(_busy, work, item)
-
-    def restart(self) -> None:
-        context = multiprocessing.get_context("spawn")
-        self._pool, self._pid = ProcessPoolExecutor(1, context, initializer=_begin), 0
-
-    def signal(self, signum: int) -> None:
-        if self._pid:
-            with suppress(ProcessLookupError):
-                os.kill(self._pid, signum)
-
-    def join(self) -> None:
-        self._pool.shutdown(wait=True, cancel_futures=True)
-
-
-_AT_WORK = threading.Lock()
-
-
-def _busy(work: Callable[[Any], Any], item: Any) -> Any:
-    with _AT_WORK:
-        return work(item)
-
-
-def _begin() -> None:
-    """In a new process: leave the terminal's process group, and end when the parent ends."""
-    if hasattr(os, "setpgid"):
-        os.setpgid(0, 0)
-    threading.Thread(target=_follow, daemon=True).start()
-
-
-def _follow() -> None:
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    parent.join()
-    os.kill(os.getpid(), signal.SIGTERM)  # the work in progress saves its state and stops
-    with _AT_WORK:
-        os._exit(1)
+def _worked(work: Callable[[Any], Any], item: Any) -> Rendered:
+    return Rendered(work(item), 0.0)
 
 
 # -- by Dask ---------------------------------------------------------------------------------------

@@ -20,8 +20,6 @@ from fide_plugins.recording.storage import RunDirectoryError, read_run
 from fide_plugins.runtime.files import read_regular
 from fide_plugins.types import Float64
 
-__all__ = ["AXES", "AllFailedError", "Curve", "NoResultsError", "Results", "StoredRun", "read"]
-
 AXES = ("renders", "seconds")
 """Horizontal axes of a convergence curve."""
 

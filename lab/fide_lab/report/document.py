@@ -1,4 +1,4 @@
-"""A report as a document: one HTML page that needs nothing else, Markdown, and PNG files.
+"""A report as a document: one HTML page that needs nothing else.
 
 Jinja2 escapes all text from files and names.
 """
@@ -7,23 +7,21 @@ from __future__ import annotations
 
 import base64
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
-from urllib.parse import quote
 
-from fide_lab.report.tables import Strong, Table, escaped, markdown
+from fide_lab.report.tables import Strong, Table
 from fide_plugins.errors import OptionError
 from fide_plugins.runtime import files
 from fide_plugins.runtime.machine import missing
 
 
 class Picture(NamedTuple):
-    """A picture; name: of its file, without the suffix; alt: its description."""
+    """A picture; alt: its description."""
 
-    name: str
     alt: str
     png: bytes
 
@@ -35,7 +33,7 @@ class Picture(NamedTuple):
 
 @dataclass(frozen=True)
 class Section:
-    """A section; details: name and text of what is folded away, on the page only."""
+    """A section; details: name and text of what is folded away."""
 
     title: str
     paragraphs: Sequence[str] = ()
@@ -59,20 +57,7 @@ class Document:
     origin: Mapping[str, Any]
 
     def write(self, path: Path) -> None:
-        """Write the page, NAME.md, and its pictures into the folder of figures beside it.
-
-        Raises DependencyError (an ImportError) without Jinja2, before anything is written.
-        """
-        html = self._html()
-        folder = companion(path, "figures")
-        folder.mkdir(parents=True, exist_ok=True)
-        for section in self.sections:
-            for picture in section.pictures:
-                files.write_bytes(folder / f"{picture.name}.png", picture.png)
-        files.write_text(path.with_suffix(".md"), "\n\n".join(self._markdown(folder.name)) + "\n")
-        files.write_text(path, html)
-
-    def _html(self) -> str:
+        """Write the page; raises DependencyError (an ImportError) without Jinja2."""
         try:
             import jinja2
         except ImportError as error:
@@ -83,26 +68,12 @@ class Document:
         env = jinja2.Environment(
             autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
         )
-        page: str = env.from_string((folder / "page.html").read_text("utf-8")).render(
-            d=self,
-            style=Markup((folder / "page.css").read_text("utf-8")),
-            is_strong=lambda text: isinstance(text, Strong),
+        page = env.from_string((folder / "page.html").read_text("utf-8"))
+        style = Markup((folder / "page.css").read_text("utf-8"))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        files.write_text(
+            path, page.render(d=self, style=style, is_strong=lambda t: isinstance(t, Strong))
         )
-        return page
-
-    def _markdown(self, figures: str) -> Iterator[str]:
-        yield f"# {escaped(self.title)}"
-        yield from map(escaped, self.summary)
-        yield from ("    " + call.replace("\n", "\n    ") for call in self.calls)
-        for section in self.sections:
-            yield f"## {escaped(section.title)}"
-            yield from map(escaped, section.paragraphs)
-            for picture in section.pictures:
-                link = quote(f"{figures}/{picture.name}.png", safe="/=+")
-                yield f"![{escaped(picture.alt)}]({link})"
-            yield from map(markdown, section.tables)
-        yield "## How to read it"
-        yield from self.method
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The report of a comparison: what it shows of each task and loss, and files of all runs."""
+"""The report of a comparison: what it shows of each task and loss, and a table of all runs."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
-from fide_lab.compare.plan import RunKey, as_file_name, target_file
+from fide_lab.compare.plan import RunKey, target_file
 from fide_lab.compare.results import AXES, NoResultsError, Results
 from fide_lab.report import plots, sentences, tables
 from fide_lab.report.document import Document, Picture, Section, Written, companion, page_path
@@ -14,18 +14,15 @@ from fide_lab.report.panel import Panel, panels
 from fide_plugins.errors import OptionError
 from fide_plugins.runtime import files
 
-__all__ = ["Written", "write"]
-
 
 def write(
     results: Results,
     page: str | os.PathLike[str],
     thresholds: dict[str, float] | None = None,
 ) -> Written:
-    """Write the page, report.md, results.csv and figures/ into one folder.
+    """Write the page, and results.csv beside it.
 
-    page: path of report.html.  For another name, the names of the other files start with it:
-        a.html, a.md, a-results.csv.
+    page: path of report.html; the table of a.html is a-results.csv.
     thresholds: loss that counts as success, by "task/loss" or "loss"; by default the second best
         median of a panel.
 
@@ -53,7 +50,7 @@ def write(
     document.write(path)
     files.write_text(companion(path, "results.csv"), tables.results_csv(results))
     overview = [
-        f"{panel.name}: {sentences.summary(panel)}\n\n{tables.plain(tables.ranking(panel))}"
+        f"{panel.name}: {sentences.summary(panel)}\n\n{tables.markdown(tables.ranking(panel))}"
         for panel in found
     ]
     return Written(path, "\n\n".join([*overview, *remarks]) + "\n")
@@ -83,19 +80,16 @@ def _facts(results: Results, found: Sequence[Panel]) -> str:
 
 
 def _section(results: Results, panel: Panel) -> Section:
-    name = f"{as_file_name(panel.task)}-{as_file_name(panel.loss)}"
     ends = ", ".join(
         f"{row.name} {tables.number(row.median)}"
         for row in sorted(panel.rows, key=lambda row: row.median)
     )
     about = f"Best {panel.loss} so far on {panel.task}; medians at the end: {ends}."
-    pictures = []
-    for axis in AXES:
-        png = plots.png(plots.convergence(panel, axis))
-        pictures.append(Picture(f"convergence-{name}-{axis}", f"{about} Along: {axis}.", png))
-    images = plots.grid(panel, target_file(results.path, panel.task, "png"))
+    curves = {axis: plots.png(plots.convergence(panel, axis)) for axis in AXES}
+    images = plots.png(plots.grid(panel, target_file(results.path, panel.task, "png")))
     alt = "Target, best, median and worst run of each optimizer"
-    pictures.append(Picture(f"images-{name}", alt, plots.png(images)))
+    pictures = [Picture(f"{about} Along: {axis}.", png) for axis, png in curves.items()]
+    pictures.append(Picture(alt, images))
     said = f"Parameters: {panel.dim}. {sentences.summary(panel)}"
     return Section(panel.name, [said], pictures, [tables.ranking(panel)])
 

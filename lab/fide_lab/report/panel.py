@@ -58,8 +58,12 @@ class Row:
 
     def losses(self, renders: int | None = None) -> dict[int, float]:
         """Final loss of each run by seed, or its best loss after that many renders."""
-        found = {run.key.seed: _loss(run, renders) for run in self.runs}
-        return found | {run.key.seed: np.inf for run in self.failed}
+        found = {run.key.seed: np.inf for run in self.failed}
+        for run in self.runs:
+            found[run.key.seed] = run.final
+            if renders is not None and run.curve is not None:
+                found[run.key.seed] = run.curve.loss_at("renders", renders)
+        return found
 
     def judged(self, metric: str) -> float:
         """Median of another loss of the images that the runs found."""
@@ -197,13 +201,6 @@ def _pairs(row: Row, winner: Row) -> Paired | None:
     if not seeds:
         return None
     return statistics.paired([mine[s] for s in seeds], [theirs[s] for s in seeds])
-
-
-def _loss(run: StoredRun, renders: int | None) -> float:
-    """Final loss of a run, or its best loss after that many renders."""
-    if renders is None or run.curve is None:
-        return run.final
-    return run.curve.loss_at("renders", renders)
 
 
 def short_names(labels: Iterable[str]) -> dict[str, str]:

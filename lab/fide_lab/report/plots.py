@@ -14,7 +14,7 @@ from fide_lab.report import statistics
 from fide_lab.report.panel import Panel, Row, fitted
 from fide_plugins.recording.figures import plain
 from fide_plugins.runtime.plotting import new_figure
-from fide_plugins.types import Float32, Float64
+from fide_plugins.types import Float64
 from fide_plugins.validation.images import load
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ INK, MUTED, RULE = "#1a1a1b", "#6b7078", "#e2e4e8"
 PALETTE = (
     "#c2410c", "#1d4ed8", "#15803d", "#7e22ce", "#0e7490", "#a16207", "#be185d", "#475569",
 )  # fmt: skip
+Pair = tuple[float, float]
 DASHES: tuple[Any, ...] = ("solid", (0, (5, 2)), (0, (1.2, 1.6)), (0, (5, 1.5, 1.2, 1.5)))
 _LONGEST = 28  # most characters of a name in a figure
 _TITLE = 21  # most characters above a picture of the figure
@@ -63,12 +64,7 @@ def convergence(panel: Panel, axis: str) -> Figure:
     return figure
 
 
-def tradeoff(
-    curves: dict[str, list[tuple[float, float]]],
-    front: list[tuple[float, float]],
-    axis: str,
-    loss: str,
-) -> Figure:
+def tradeoff(curves: dict[str, list[Pair]], front: list[Pair], axis: str, loss: str) -> Figure:
     """Loss against cost of every combination of options, and their Pareto front.
 
     curves: (cost, loss) by label; the last pair is the end of the runs.
@@ -136,13 +132,10 @@ def _chosen(row: Row) -> Sequence[tuple[str, StoredRun]]:
 
 
 def _show(axes: Any, path: Path, note: str, title: str) -> None:
-    image: Float32 | None = None
     try:
-        image = load(path)
+        axes.imshow(load(path), vmin=0, vmax=1, interpolation="antialiased")
     except (OSError, ValueError):  # missing or damaged
         note = f"{note} (no picture)"
-    if image is not None:
-        axes.imshow(image, vmin=0, vmax=1, interpolation="antialiased")
     axes.set_title(title, fontsize=7, color=INK, loc="left", pad=3)
     axes.text(0, -0.04, note, transform=axes.transAxes, fontsize=6.5, color=MUTED, va="top")
 

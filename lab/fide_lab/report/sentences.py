@@ -7,12 +7,10 @@ import shlex
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from fide_lab.compare.results import Results, StoredRun
+from fide_lab.compare.results import Results
 from fide_lab.report.panel import SIGNIFICANT, Panel
 from fide_lab.report.tables import number
 from fide_plugins.runtime.messages import counted
-
-__all__ = ["METHOD", "command", "not_shown", "summary", "without_results"]
 
 METHOD = (
     "All optimizers have the same target, the same box and, unless the table says otherwise, the "
@@ -42,8 +40,13 @@ def command(call: dict[str, Any]) -> str:
 
 def summary(panel: Panel) -> str:
     """All that is said of a panel."""
-    said = _verdict(panel), _threshold(panel), _failures(panel), _abbreviations(panel)
-    return " ".join(filter(None, said))
+    success = f"Success is any finite {panel.loss}."
+    if math.isfinite(panel.threshold):
+        origin = "" if panel.stated else ", the second best median"
+        success = f"Success is {panel.loss} of {number(panel.threshold)} or less{origin}."
+    full = [f"{row.name} is {row.label}" for row in panel.every if row.name != row.label]
+    short = f"Here {_list(full)}." if full else ""
+    return " ".join(filter(None, (_verdict(panel), success, _failures(panel), short)))
 
 
 def _verdict(panel: Panel) -> str:
@@ -82,31 +85,16 @@ def _failures(panel: Panel) -> str:
     return f"{failed} of {planned} runs failed and count as infinite: {each}."
 
 
-def _threshold(panel: Panel) -> str:
-    """The loss that counts as success, and its origin."""
-    if not math.isfinite(panel.threshold):
-        return f"Success is any finite {panel.loss}."
-    origin = "" if panel.stated else ", the second best median"
-    return f"Success is {panel.loss} of {number(panel.threshold)} or less{origin}."
-
-
-def _abbreviations(panel: Panel) -> str:
-    """Full labels of the configurations whose names are shortened; empty if there are none."""
-    full = [f"{row.name} is {row.label}" for row in panel.every if row.name != row.label]
-    return f"Here {_list(full)}." if full else ""
-
-
 def without_results(results: Results) -> list[str]:
     """A sentence for each task and loss without a finished run, which have no panel."""
-    groups: dict[str, list[StoredRun]] = {}
+    groups: dict[str, list[str]] = {}
     for run in results.runs:
-        groups.setdefault(f"{run.key.task}, {run.key.loss}", []).append(run)
-    said = []
-    for name, runs in groups.items():
-        if not any(run.state == "finished" for run in runs):
-            failed = sum(run.state == "failed" for run in runs)
-            said.append(f"{name}: no run is finished, {failed} of {len(runs)} failed.")
-    return said
+        groups.setdefault(f"{run.key.task}, {run.key.loss}", []).append(run.state)
+    return [
+        f"{name}: no run is finished, {states.count('failed')} of {len(states)} failed."
+        for name, states in groups.items()
+        if "finished" not in states
+    ]
 
 
 def not_shown(labels: Sequence[str]) -> list[str]:

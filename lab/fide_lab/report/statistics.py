@@ -12,8 +12,6 @@ from scipy import stats
 from fide_lab.compare.results import Curve
 from fide_plugins.types import Float64
 
-__all__ = ["QUANTILES", "Bands", "Paired", "adjusted", "bands", "paired", "quantiles"]
-
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 _POINTS = 120  # points of a band, more than the eye can distinguish
 _HUGE = 1e300
@@ -59,8 +57,7 @@ def quantiles(values: npt.ArrayLike, q: Sequence[float] = QUANTILES) -> Float64:
     """
     array = np.asarray(values, np.float64)
     found = np.quantile(np.where(np.isposinf(array), _HUGE, array), q, axis=0)
-    result: Float64 = np.where(found > _HUGE / 1e6, np.inf, found)
-    return result
+    return np.where(found > _HUGE / 1e6, np.inf, found)
 
 
 def bands(curves: Sequence[Curve], axis: str, failed: int = 0) -> Bands:
@@ -107,10 +104,7 @@ def paired(losses: npt.ArrayLike, others: npt.ArrayLike) -> Paired:
 
 def adjusted(p: Sequence[float]) -> list[float]:
     """p-values adjusted for multiple tests, by Benjamini and Hochberg's false discovery rate."""
-    if not p:
-        return []
-    values: list[float] = stats.false_discovery_control(p).tolist()
-    return values
+    return stats.false_discovery_control(p).tolist() if p else []
 
 
 def _differences(a: Float64, b: Float64) -> Float64:

@@ -1,11 +1,11 @@
-"""Tables of a report, for HTML, Markdown and a terminal; and as CSV files."""
+"""Tables of a report, for HTML and a terminal; and as CSV files."""
 
 from __future__ import annotations
 
 import csv
 import io
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -33,12 +33,11 @@ class Table:
     rows: Sequence[Sequence[str]]
 
 
-def markdown(table: Table, written: Callable[[str], str] | None = None) -> str:
-    """The table in Markdown, with aligned columns; written: of each text, None escapes it."""
-    written = written or escaped
-    texts = [[written(title) for title, _ in table.columns]]
+def markdown(table: Table) -> str:
+    """The table in Markdown, with aligned columns and names as they are."""
+    texts = [[title for title, _ in table.columns]]
     for row in table.rows:
-        texts.append([f"**{written(t)}**" if isinstance(t, Strong) else written(t) for t in row])
+        texts.append([f"**{text}**" if isinstance(text, Strong) else text for text in row])
     widths = [max(3, *map(len, column)) for column in zip(*texts, strict=True)]
     rule = ["-" * widths[0], *(f"{'-' * (width - 1)}:" for width in widths[1:])]
     lines = []
@@ -46,18 +45,6 @@ def markdown(table: Table, written: Callable[[str], str] | None = None) -> str:
         aligned = (text.rjust(width) for text, width in zip(rest, widths[1:], strict=True))
         lines.append(f"| {' | '.join([first.ljust(widths[0]), *aligned])} |")
     return "\n".join(lines)
-
-
-def plain(table: Table) -> str:
-    """The table for a terminal: as in Markdown, but names without escapes."""
-    return markdown(table, str)
-
-
-def escaped(text: str) -> str:
-    """Escape `text` for Markdown."""
-    for sign in "\\`*_[]<>|":
-        text = text.replace(sign, f"\\{sign}")
-    return text
 
 
 def number(value: float) -> str:

@@ -7,13 +7,6 @@
     >>> result.best_loss == result.losses.min().item()
     True
 
-`prepare`      makes a `Run` from names and options, all checked
-`task`         what is fitted: the protocol of a task, a user's renderer as a task
-`loop`         generations, rendered in pieces; the loop is that of `fit`
-`kept_target`  the target to the last bit, in a file
-`foreign`      tasks whose target the renderer did not draw
-=============  ==================================================================
-=======
 Errors of `prepare`, which makes a `Run`, are usage errors; errors of its `execute` are failed runs.
 """
 

@@ -1,15 +1,13 @@
 """Runs of tasks whose target the renderer did not draw: what is compared, and what judges.
 
 Of two comparisons of the same pictures each has its own loss, so the task says how wrong a point is
-(`TaskInfo.error`), which no optimizer sees.  FIDE is told images and compares them itself.  Any
-other optimizer is told images and losses as ``photo=True`` would compare them, and with the kind of
-light set aside that the task says has changed.
+(`TaskInfo.error`), which no optimizer sees.
 """
 
 from __future__ import annotations
 
 from array import array
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -20,15 +18,15 @@ from fide_plugins.types import Float32, Float64, Optimizer
 from fide_plugins.validation.images import as_batch
 from fide_plugins.validation.values import Clipping
 
-if TYPE_CHECKING:
-    from fide_plugins.evaluation import Evaluator
-
 ERROR = "error"
 """Name of the metric in the record of a run: the error of the best candidate so far."""
 
 
 class Foreign:
     """Tells an optimizer renders of a task with an `error`.
+
+    FIDE is told images and compares them itself.  Any other optimizer is told images and losses as
+    ``photo=True`` would compare them, with the light set aside that the task says has changed.
 
     target: (H, W, 3).  loss: name.
     """
@@ -40,7 +38,6 @@ class Foreign:
         self.error, self._target, self._clipping = info.error, target, Clipping()
         self._fide = optimizer if isinstance(optimizer, FIDE) else None
         self._comparisons = 0 if self._fide is None else self._fide.state.comparisons
-        self._evaluator: Evaluator | None = None
         if self._fide is None:
             from fide_plugins.evaluation import Evaluator
 
@@ -59,10 +56,9 @@ class Foreign:
         if self._fide is not None:
             with record.timing(optimizer):
                 return plain, self._fide.tell(X, list(images))
-        evaluator = self._evaluator
-        assert evaluator is not None and evaluator.comparison is not None
-        batch: Any = evaluator.as_batch(len(X), list(images), None, None, self._clipping)
-        compared = evaluator.comparison.compare(batch)
+        assert self._evaluator.comparison is not None
+        batch: Any = self._evaluator.as_batch(len(X), list(images), None, None, self._clipping)
+        compared = self._evaluator.comparison.compare(batch)
         with record.timing(optimizer):
             optimizer.tell(X, np.clip(compared.images, 0, 1), compared.losses)
         return plain, compared.losses
@@ -72,12 +68,10 @@ class Foreign:
         if self._fide is not None and self._fide.state.comparisons != self._comparisons:
             self._comparisons, best = self._fide.state.comparisons, self._fide.state.best
             if best is not None and best.solution.image is not None:
-                record.best_loss, record.best_evaluation = (
-                    best.solution.loss,
-                    best.solution.evaluation,
-                )
-                record.x_best, record.image = best.solution.x.copy(), best.solution.image
+                found = best.solution
+                record.best_loss, record.best_evaluation = found.loss, found.evaluation
+                record.x_best, record.image = found.x.copy(), found.image
                 record.improvements.append(record.evaluations - 1)
-                record.path.append(best.solution.x.copy())
+                record.path.append(found.x.copy())
         errors = record.metrics.setdefault(ERROR, array("d"))
         errors.extend(self.error(x) for x in record.path[len(errors) :])

@@ -10,7 +10,7 @@ import numpy as np
 
 from fide_plugins.errors import CheckpointError
 from fide_plugins.runtime import checkpoint
-from fide_plugins.runtime.schema import IMPOSSIBLE
+from fide_plugins.runtime.schema import IMPOSSIBLE, check, maybe, text
 from fide_plugins.types import Float32
 from fide_plugins.validation.images import as_target
 
@@ -31,14 +31,11 @@ def read_target(path: Path) -> KeptTarget | None:
         return None
     state = checkpoint.read(path, _TARGET)
     try:
-        image, source = as_target(np.asarray(state["image"], np.float32)), state["source"]
-        if not isinstance(source, str | None):
-            raise TypeError("its source is no text")
+        check({"source": state["source"]}, {"source": maybe(text)}, {})
+        return KeptTarget(as_target(np.asarray(state["image"], np.float32)), state["source"])
     except IMPOSSIBLE as error:
-        raise CheckpointError(
-            f"{path}: impossible contents ({error}); start again in another directory"
-        ) from error
-    return KeptTarget(image, source)
+        why = f"impossible contents ({error}); start again in another directory"
+        raise CheckpointError(f"{path}: {why}") from error
 
 
 def write_target(path: Path, target: KeptTarget) -> None:

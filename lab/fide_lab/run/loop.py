@@ -1,23 +1,15 @@
-"""A run of a task: generations, rendered in pieces, until the budget is spent.
-
-The loop is that of `fit` (`fide_plugins.fitting.loop`).  It asks for a whole generation, which is
-rendered in pieces of a fixed size (one image, of a user's renderer), so that results can be saved
-before a slow generation is complete.  The size is fixed because the same seed must give the same
-run: another one changes the last bits of features that are computed in batches.
+"""A run of a task by the loop of `fit`: generations, in pieces, until the budget is spent.
 
 Resuming gives the result of an uninterrupted run, bit for bit: the state is saved only between
 pieces, with the pending candidates, and each evaluation of a noisy renderer has its own seed.
-
-The lowest of many noisy losses is biased low.  So at the end the best candidate, and the candidate
-that the optimizer recommends, are rendered again by the task's `reference`.
 """
 
 from __future__ import annotations
 
 import time
 from array import array
-from collections.abc import Callable, Mapping
-from contextlib import closing, nullcontext, suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -33,14 +25,7 @@ from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers import InThisProcess
 from fide_plugins.losses.base import ImageLoss
 from fide_plugins.recording.directory import RunDirectory, note_unsaved
-from fide_plugins.recording.record import (
-    Progress,
-    Record,
-    Report,
-    RunResult,
-    Verdict,
-    result_of,
-)
+from fide_plugins.recording.record import Progress, Record, Report, RunResult, Verdict, result_of
 from fide_plugins.recording.signals import Interrupted, Interrupts
 from fide_plugins.recording.storage import remove_checkpoint
 from fide_plugins.types import Float32, Float64, Optimizer
@@ -48,11 +33,9 @@ from fide_plugins.validation.images import as_batch, as_target
 from fide_plugins.validation.points import as_points
 from fide_plugins.validation.values import Clipping
 
-__all__ = ["PIECE", "Run", "judge"]
-
 PIECE = 32
-"""Largest number of candidates that are rendered before their results are told, where the task does
-not say another; see `TaskInfo.piece`."""
+"""Candidates rendered before their results are told, unless the task says another number.  It is
+fixed, for another one changes the last bits of features that are computed in batches."""
 
 
 @dataclass(frozen=True)
@@ -161,12 +144,8 @@ class Run:
     # -- steps of the loop -------------------------------------------------------------------------
 
     def ask(self) -> Float64:
-        """Next generation (n, dim), or one step.
-
-        Raises PointsError (a ValueError) if it breaks the protocol.
-        """
-        points = self._points(self.optimizer.ask_ready(), "asked for impossible candidates")
-        return points
+        """Next generation (n, dim), or one step; PointsError if it breaks the protocol."""
+        return self._points(self.optimizer.ask_ready(), "asked for impossible candidates")
 
     def tell(self, X: Float64, images: Any) -> bool:
         """Evaluate, tell and record a piece X (n, dim) with its images."""
@@ -188,18 +167,14 @@ class Run:
         self._loop.tick()
         improved = record.add(X, batch, losses)
         with self._loop.not_counted():
-            self._observe(batch, improved)
+            if self._foreign is not None:
+                self._foreign.note_errors(record)
+            for name, metric in self._metrics.items():
+                values = record.metrics.setdefault(name, array("d"))
+                if improved:
+                    values.extend(metric.compute(batch[improved]).tolist())
         self._loop.whole = True
         return bool(improved)
-
-    def _observe(self, batch: Float32, improved: list[int]) -> None:
-        """Measure improvements, the images of these indices, by the other losses."""
-        if self._foreign is not None:
-            self._foreign.note_errors(self.record)
-        for name, metric in self._metrics.items():
-            values = self.record.metrics.setdefault(name, array("d"))
-            if improved:
-                values.extend(metric.compute(batch[improved]).tolist())
 
     def show(self, last: bool) -> None:
         """Report the progress; last: whether the run is over."""
@@ -221,15 +196,18 @@ class Run:
     def _render(self, X: Float64) -> Any:
         done = self.record.evaluations
         first = self.settings["seed"] * 2**40 + done
-        try:
+        with self._named(f"failed to render candidates {done} to {done + len(X) - 1}"):
             return self.task.render(X, seed=[first + i for i in range(len(X))])
+
+    @contextmanager
+    def _named(self, what: str) -> Iterator[None]:
+        """Errors that the task raises become a RenderError that says what it did."""
+        try:
+            yield
         except FideError:
             raise
         except Exception as error:
-            raise RenderError(
-                f"{self.settings['task']} failed to render candidates "
-                f"{done} to {done + len(X) - 1}: {error!r}"
-            ) from error
+            raise RenderError(f"{self.settings['task']} {what}: {error!r}") from error
 
     # -- ending ------------------------------------------------------------------------------------
 
@@ -255,7 +233,7 @@ class Run:
         if r.x_best is not None:
             said = np.asarray(self.optimizer.recommend())[None]
             recommended = np.asarray(self._points(said, "recommended an impossible point")[0])
-        try:
+        with self._named("failed to judge the result"):
             verdict = judge(
                 reference, self.target, self.loss, r.x_best, r.image, recommended, self._metrics
             )
@@ -263,12 +241,6 @@ class Run:
                 verdict.metrics[ERROR] = self._foreign.error(r.x_best)
                 return replace(verdict, loss=r.best_loss)  # by another comparison than `judge`
             return verdict
-        except FideError:
-            raise
-        except Exception as error:
-            raise RenderError(
-                f"{self.settings['task']} failed to judge the result: {error!r}"
-            ) from error
 
     def _points(self, given: Any, what: str) -> Float64:
         """Points (n, dim) of the optimizer, checked; what: it did, where they are none."""
@@ -282,13 +254,9 @@ class Run:
 
     def _result(self, verdict: Verdict) -> RunResult:
         return result_of(
-            self.settings,
-            self.record,
-            verdict,
-            budget=self._budget,
-            status=self.optimizer.status,
-            space=getattr(self.task, "space", None),
-        )
+            self.settings, self.record, verdict, budget=self._budget,
+            status=self.optimizer.status, space=getattr(self.task, "space", None),
+        )  # fmt: skip
 
 
 def judge(
@@ -302,7 +270,7 @@ def judge(
 ) -> Verdict:
     """Evaluate the best and, if given, the recommended candidate, by `TaskInfo.reference`.
 
-    metrics: other losses by name, for the best one.
+    The lowest of many noisy losses is biased low.  metrics: other losses by name, for the best one.
     """
     if x_best is None or image is None:
         return Verdict()

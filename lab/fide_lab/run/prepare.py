@@ -18,22 +18,20 @@ from fide_lab.suite import read as read_suite
 from fide_plugins import losses as losses_module
 from fide_plugins.errors import CheckpointError, FideError, OptionError, RenderError
 from fide_plugins.learning.hypotheses import with_model
-from fide_plugins.recording.directory import RunDirectory
-from fide_plugins.recording.record import Progress, Record, RunResult
-from fide_plugins.recording.sources import of_files, of_losses, of_models, of_weights
-from fide_plugins.recording.storage import (
-    TARGET_FILE,
-    is_saved,
+from fide_plugins.recording.directory import (
+    RunDirectory,
+    of_files,
+    of_losses,
+    of_models,
+    of_weights,
 )
+from fide_plugins.recording.record import Progress, Record, RunResult
+from fide_plugins.recording.storage import TARGET_FILE, is_saved
 from fide_plugins.runtime.registry import fingerprint_of, own_name
 from fide_plugins.types import Float32, Optimizer
 from fide_plugins.validation.images import as_target
 from fide_plugins.validation.options import check_names
 from fide_plugins.validation.points import whole_number
-
-__all__ = [
-    "kept_of", "make_optimizer", "make_task", "prepare", "run", "settings_of", "target_of",
-]  # fmt: skip
 
 
 def run(
@@ -48,10 +46,8 @@ def run(
 ) -> RunResult:
     """Fit `task` with `optimizer`, and return the result.
 
-    loss, budget, seed, settings: arguments of `prepare`, which raises their errors.
-    on_progress: called after each piece of a generation.
-
-    Raises also what `Run.execute` raises.
+    loss, budget, seed, settings: as of `prepare`, which raises their errors.
+    on_progress: called after each piece of a generation.  Raises also what `Run.execute` raises.
     """
     return prepare(task, optimizer, loss, budget, seed, **settings).execute(on_progress)
 
@@ -132,10 +128,8 @@ def _check_optimizer(optimizer: Named, options: Mapping[str, Any], saved: bool) 
     """Raise ValueError for an optimizer that is no use, and for options that the run gives it."""
     given: tuple[str, ...] = ("loss", "seed")
     if saved and not isinstance(optimizer, str):
-        raise OptionError(
-            "a run with a directory needs its optimizer by name, to load it again; "
-            "see fide_lab.optimizers.register"
-        )
+        why = "a run with a directory needs its optimizer by name, to load it again"
+        raise OptionError(f"{why}; see fide_lab.optimizers.register")
     optimizers.options(optimizer)  # raises
     if isinstance(optimizer, str):
         given = ("self", "dim", "target", *given)  # a user's callable may name its own options so
@@ -143,12 +137,9 @@ def _check_optimizer(optimizer: Named, options: Mapping[str, Any], saved: bool) 
 
 
 def _started(
-    directory: RunDirectory,
-    record: Record,
-    searcher: Optimizer,
-    budget: int,
+    directory: RunDirectory, record: Record, searcher: Optimizer, budget: int,
     kept: KeptTarget | None,
-) -> tuple[Record, Optimizer]:
+) -> tuple[Record, Optimizer]:  # fmt: skip
     """Record and optimizer that the directory holds, or those given; the run is written down."""
     name, device = directory.settings["optimizer"], directory.settings["options"].get("device")
     with ExitStack() as refused:
@@ -194,31 +185,19 @@ def make_task(
 
 
 def settings_of(
-    task: Task,
-    target: Float32,
-    optimizer: Named,
-    loss: str,
-    budget: int,
-    seed: int,
-    task_options: Mapping[str, Any],
-    options: Mapping[str, Any],
-    keep: Keep,
-) -> dict[str, Any]:
+    task: Task, target: Float32, optimizer: Named, loss: str, budget: int, seed: int,
+    task_options: Mapping[str, Any], options: Mapping[str, Any], keep: Keep,
+) -> dict[str, Any]:  # fmt: skip
     """What defines a run, as its directory records it: other settings, another run."""
     info = TaskInfo.of(task)
     settings = {
-        "task": info.name,
-        "task_seed": info.seed,
+        "task": info.name, "task_seed": info.seed,
         "task_options": {k: v for k, v in task_options.items() if k not in info.incidental_options},
-        "size": list(target.shape[:2]),
-        "dim": task.dim,
+        "size": list(target.shape[:2]), "dim": task.dim,
         "target": hashlib.sha256(target.tobytes()).hexdigest()[:16],
         "optimizer": optimizer if isinstance(optimizer, str) else own_name(optimizer),
-        "options": dict(options),
-        "loss": loss,
-        "budget": budget,
-        "seed": seed,
-    }
+        "options": dict(options), "loss": loss, "budget": budget, "seed": seed,
+    }  # fmt: skip
     if info.renderer is not None:
         settings["renderer"] = info.renderer
     if info.search_space is not None:
@@ -229,14 +208,9 @@ def settings_of(
 
 
 def make_optimizer(
-    optimizer: Named,
-    task: Task,
-    target: Float32,
-    loss: str | Callable[..., object],
-    seed: int,
-    budget: int,
-    options: dict[str, Any],
-) -> Optimizer:
+    optimizer: Named, task: Task, target: Float32, loss: str | Callable[..., object], seed: int,
+    budget: int, options: dict[str, Any],
+) -> Optimizer:  # fmt: skip
     """The optimizer for a task; it is told the budget if that is one of its options."""
     options = {"loss": loss, "seed": seed, **options}
     if "budget" in optimizers.options(optimizer):

@@ -75,10 +75,6 @@ class TaskInfo:
         return cls(own_name(task), **said)
 
 
-_OF_BOTH = ("space", "target")
-_OF_COMMAND = (*_OF_BOTH, "command", "timeout")
-
-
 class RendererTask:
     """Task whose target is the image of random parameters, or a picture.
 
@@ -135,11 +131,11 @@ class RendererTask:
     def _check_size(self, picture: Float32) -> None:
         try:
             image = self._render(self.decode(np.full(self.dim, 0.5)))
-            found = as_batch([image], on_clip=lambda message: None).shape[1:3]
+            h, w = as_batch([image], on_clip=lambda message: None).shape[1:3]
         except Exception:  # the run says so if others fail, too
             return
-        if found != picture.shape[:2]:
-            (height, width), (h, w) = picture.shape[:2], found
+        height, width = picture.shape[:2]
+        if (h, w) != (height, width):
             raise ImageError(
                 f"the picture has {width} x {height} pixels, and {self.name} renders {w} x {h}: "
                 "give a picture of that size, or render that of the picture"
@@ -181,7 +177,7 @@ def make_renderer_task(name: str, seed: int, options: Mapping[str, Any]) -> Rend
     options: `space`, path of a TOML file; `target`, path of a picture; `command`, a template, see
         `renderers.template`, and `timeout` in seconds.
     """
-    known = _OF_COMMAND if "command" in options else _OF_BOTH
+    known = ("space", "target", *(("command", "timeout") if "command" in options else ()))
     for option in options:
         if option not in known:
             raise OptionError(f"{name} has no option {option!r}; it has {', '.join(known)}")

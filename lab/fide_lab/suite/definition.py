@@ -14,8 +14,6 @@ from typing import Any
 
 from fide_plugins.errors import OptionError, UnknownNameError
 
-__all__ = ["Scene", "Suite", "names", "read"]
-
 _FOLDER = Path(str(resources.files("fide_lab.suite")))
 
 
@@ -124,21 +122,11 @@ def _scene(name: str, entry: dict[str, Any], targets: tuple[int, ...]) -> Scene:
     options = dict(entry.get("options", {}))
     if "command" in entry:
         folder = _FOLDER / "scenes"
-        options["command"] = entry["command"].replace("{scenes}", _quoted(folder))
+        word = shlex.quote(str(folder).replace("{", "{{").replace("}", "}}"))  # of a template
+        options["command"] = entry["command"].replace("{scenes}", word)
         options["space"] = str(folder / entry["space"])
     return Scene(
-        name,
-        entry["group"],
-        entry["loss"],
-        float(entry["solved"]),
-        entry.get("task"),
-        int(entry.get("size", 0)),
-        MappingProxyType(options),
-        targets[: entry.get("problems")],
+        name, entry["group"], entry["loss"], float(entry["solved"]), entry.get("task"),
+        int(entry.get("size", 0)), MappingProxyType(options), targets[: entry.get("problems")],
         entry.get("metric"),
-    )
-
-
-def _quoted(folder: Path) -> str:
-    """The folder as a piece of a template, see `renderers.template`: one word, without fields."""
-    return shlex.quote(str(folder).replace("{", "{{").replace("}", "}}"))
+    )  # fmt: skip

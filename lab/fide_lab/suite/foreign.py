@@ -1,9 +1,7 @@
 """Problems whose target the renderer did not draw: the scenes of `image-fitting-foreign-v1`.
 
-Each says what a renderer draws and how wrong an answer is.  The error is of parameters, or of the
-clean render: it is 0 at the truth where that is known, and no optimizer sees it.  What is read or
-rendered is made when a problem is first asked for; `photographs/README.md` says whose the
-photographs are.
+The error is of parameters, or of the clean render: it is 0 at the truth where that is known, and no
+optimizer sees it.  `photographs/README.md` says whose the photographs are.
 """
 
 from __future__ import annotations
@@ -25,8 +23,6 @@ from fide_plugins.space import Float, Space
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.images import as_target
 
-__all__ = ["GAPS", "SCENES", "Problem", "changed", "clean_error", "make"]
-
 _FOLDER = Path(__file__).parent
 _GEOMETRY = "azimuth", "elevation", "x", "z", "radius"
 _FIRST = 4000  # seed of the first target of a built-in scene
@@ -47,15 +43,9 @@ class Problem:
     """
 
     def __init__(
-        self,
-        target: NDArray[Any],
-        draw: Draw,
-        wrong: Callable[[Any], float],
-        space: Space | int,
-        *,
-        truth: Float64 | None = None,
-        light: str = "none",
-    ) -> None:
+        self, target: NDArray[Any], draw: Draw, wrong: Callable[[Any], float], space: Space | int,
+        *, truth: Float64 | None = None, light: str = "none",
+    ) -> None:  # fmt: skip
         self.name, self.seed = "foreign", 0
         self.target, self.truth, self.light = np.asarray(target, np.float32), truth, light
         self.search_space = space if isinstance(space, Space) else None
@@ -254,21 +244,18 @@ def clean_error(task: Any) -> Callable[[Float64], float]:
     return error
 
 
-def _gap(
-    clean: NDArray[Any], gap: str, seed: int, draw: Draw, wrong: Callable[[Any], float],
-    space: Space | int, truth: Float64,
-) -> Problem:  # fmt: skip
-    """A scene whose picture (H, W, 3) is changed."""
+def _gap(gap: str, clean: NDArray[Any], seed: int, *problem: Any, truth: Float64) -> Problem:
+    """A problem whose picture (H, W, 3) is changed."""
     picture = changed(clean, gap, np.random.default_rng(7 * seed + 1))
     light = gap if gap in ("exposure", "shading") else "none"
-    return Problem(picture, draw, wrong, space, truth=truth, light=light)
+    return Problem(picture, *problem, truth=truth, light=light)
 
 
 def _of_task(task: Any, gap: str, wrong: Callable[[Any], float]) -> Problem:
     def draw(x: Float64, seed: int = 0) -> Any:
         return task.render(x[None], [seed])[0]
 
-    return _gap(task.target, gap, task.seed, draw, wrong, task.dim, task.x_star)
+    return _gap(gap, task.target, task.seed, draw, wrong, task.dim, truth=task.x_star)
 
 
 def _pose(number: int, name: str, gap: str) -> Problem:
@@ -316,8 +303,7 @@ def _povray(number: int, gap: str) -> Problem:
     def draw(p: dict[str, Any], seed: int = 0) -> Any:
         return program(p)
 
-    clean = as_target(program(true))
-    return _gap(clean, gap, _FIRST + number, draw, wrong, space, truth)
+    return _gap(gap, as_target(program(true)), _FIRST + number, draw, wrong, space, truth=truth)
 
 
 # -- another renderer's picture of the same scene --------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from textwrap import shorten
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ from scipy import stats
 from fide_lab.compare.results import Results
 from fide_lab.report import plots, sentences, statistics
 from fide_lab.report.document import Document, Picture, Section, Written, companion, page_path
-from fide_lab.report.tables import Strong, Table, as_csv, number, plain
+from fide_lab.report.tables import Strong, Table, as_csv, markdown, number
 from fide_lab.suite.scores import Scores, data_profile, scores
 from fide_plugins.runtime import files
 from fide_plugins.runtime.messages import counted
@@ -60,9 +61,7 @@ def write(results: Results, page: str | os.PathLike[str]) -> Written:
 
 
 def write_scores(found: Scores, origin: Origin, page: str | os.PathLike[str]) -> Written:
-    """Write the page, report.md, solved.csv and figures/ into one folder.
-
-    page: path of report.html.  For another name, the names of the other files start with it.
+    """Write the page, and solved.csv beside it, for a.html a-solved.csv.
 
     Raises OptionError (a ValueError) for a page without the suffix .html, DependencyError (an
     ImportError) without Jinja2, OSError if a file cannot be written.
@@ -72,7 +71,7 @@ def write_scores(found: Scores, origin: Origin, page: str | os.PathLike[str]) ->
     tables = [totals(found, names), by_scene(found, names), lowest(found, names)]
     said = [_part(found), *remarks(found)]
     title = "Share of problems solved within so many renders"
-    profile = Picture("data-profile", title, plots.png(data_profile_figure(found, names)))
+    profile = Picture(title, plots.png(data_profile_figure(found, names)))
     scenes = [found.suite.scenes[name] for name in found.scenes]
     thresholds = Table(
         "What counts as solved",
@@ -93,7 +92,7 @@ def write_scores(found: Scores, origin: Origin, page: str | os.PathLike[str]) ->
         {**origin.machine, **origin.versions},
     ).write(path)
     files.write_text(companion(path, "solved.csv"), _csv(found))
-    shown = "\n\n".join(map(plain, tables))
+    shown = "\n\n".join(map(markdown, tables))
     return Written(path, "\n".join(said) + f"\n\n{shown}\n")
 
 
@@ -101,17 +100,13 @@ def _part(found: Scores) -> str:
     """What part of the suite this is."""
     suite = found.suite
     whole = sum(len(scene.targets) for scene in suite.scenes.values())
-    scenes = len(suite.scenes)
     if len(found.problems) == whole and found.budgets == suite.budgets:
         return f"This is the whole suite {suite.name}."
     here, all_of_it = (", ".join(map(number, b)) for b in (found.budgets, suite.budgets))
-    of_them = "only, of" if set(found.budgets) <= set(suite.budgets) else "in place of"
-    budget = "" if here == all_of_it else f"; by {here} renders {of_them} {all_of_it}"
-    left_out = [name for name in suite.scenes if name not in found.scenes]
-    without = f"; without {', '.join(left_out)}" if left_out else ""
+    budget = "" if here == all_of_it else f"; by {here} renders, of {all_of_it}"
     return (
         f"This is a part of the suite {suite.name}: {len(found.problems)} of {whole} problems, "
-        f"{len(found.scenes)} of {scenes} scenes{without}{budget}."
+        f"{len(found.scenes)} of {len(suite.scenes)} scenes{budget}."
     )
 
 
@@ -211,8 +206,7 @@ def sign_test(a: Float64, b: Float64) -> float:
 
 # -- what is said of failed runs, and of what is left out ------------------------------------------
 
-_SHOWN = 5
-"""Most problems that are named for one optimizer."""
+_SHOWN = 100  # characters of the problems of one optimizer
 
 
 def remarks(found: Scores) -> list[str]:
@@ -220,19 +214,11 @@ def remarks(found: Scores) -> list[str]:
     said = sentences.not_shown(found.not_shown)
     failed = [(label, problem, "failed") for label, problem in found.failed]
     for what, runs in (("Failed runs count as unsolved", failed), ("Left out", found.left_out)):
-        of: dict[tuple[str, str], list[str]] = {}
+        of: dict[str, list[str]] = {}
         for label, problem, status in runs:
-            of.setdefault((label, status), []).append(problem)
-        parts = []
-        for (label, status), problems in of.items():
-            more = f" and {len(problems) - _SHOWN} more" if len(problems) > _SHOWN else ""
-            parts.append(f"{label} ({status}) on {', '.join(problems[:_SHOWN])}{more}")
+            of.setdefault(f"{label} ({status})", []).append(problem)
+        parts = [f"{run} on {shorten(', '.join(names), _SHOWN)}" for run, names in of.items()]
         if parts:
             several = counted(len({problem for _, problem, _ in runs}), "problem")
             said.append(f"{what}, {several}: {'; '.join(parts)}.")
-    if any(status == "not planned" for _, _, status in found.left_out):
-        said.append(
-            "fide compare --resume adds runs, fide report --optimizers A,B shows only these "
-            "optimizers."
-        )
     return said

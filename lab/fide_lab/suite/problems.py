@@ -11,8 +11,6 @@ from fide_lab.run.prepare import make_task, target_of
 from fide_lab.suite.definition import Suite
 from fide_plugins.errors import OptionError
 
-__all__ = ["SuitePlan", "check_budgets", "plan", "unavailable"]
-
 
 @dataclass(frozen=True)
 class SuitePlan(Plan):

@@ -52,7 +52,7 @@ class Scores:
 
     def solved(self, budget: int) -> Float64:
         """(P, S), 1 where a problem was solved within the budget."""
-        return np.isfinite(within(self.t, budget)).astype(np.float64)
+        return (self.t <= budget).astype(np.float64)
 
     def losses_down_to_solved(self) -> Float64:
         """`losses`, but none below the threshold: all who have solved a problem are equal."""
@@ -101,16 +101,9 @@ def scores(results: Results) -> Scores:
                 lowest[at] = run.curve.loss_at("renders", b, scene.metric)
         losses.append(lowest)
     return Scores(
-        suite,
-        labels,
-        tuple(whole),
-        budgets,
-        t,
-        np.array(losses),
-        failed,
-        left_out,
+        suite, labels, tuple(whole), budgets, t, np.array(losses), failed, left_out,
         results.not_shown,
-    )
+    )  # fmt: skip
 
 
 def data_profile(t: Float64, renders: npt.ArrayLike) -> Float64:

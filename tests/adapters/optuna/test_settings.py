@@ -18,7 +18,7 @@ WRONG: dict[str, tuple[dict[str, Any], type[Exception], str]] = {
     "no image": ({"target": np.zeros((8, 8, 2))}, ImageError, "channels"),
     "preset": ({"preset": "best"}, OptionError, "preset"),
     "option": ({"colour": 3}, OptionError, "colour"),
-    "constraints_func": ({"constraints_func": 3}, OptionError, "must be a function of a trial"),
+    "constraints_func": ({"constraints_func": 3}, OptionError, "is a function of a trial"),
     "popsize": ({"popsize": 1}, OptionError, "popsize"),
     "sigma0": ({"sigma0": 0}, OptionError, "sigma0"),
     "seed": ({"seed": -1}, OptionError, "seed"),

@@ -5,19 +5,16 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import pytest
 import torch
 from torch import Tensor
 
 from fide_lab.baselines.dibo import (
-    DiBO,
     Diffusion,
     Round,
     RoundOptions,
     program_likelihood,
     trajectory_balance,
 )
-from fide_plugins.errors import OptionError
 
 DOUBLE = torch.float64
 
@@ -144,27 +141,3 @@ def test_the_prior_is_frozen_while_the_posterior_learns() -> None:
     assert not torch.equal(posterior(x, t), doubled)
     torch.testing.assert_close(posterior(x, t), doubled, atol=0.3, rtol=0.3)
     assert torch.equal(small_round(posterior_epochs=0).posterior(x, t), doubled)
-
-
-def test_the_buffer_keeps_the_best() -> None:
-    opt = DiBO(2, seed=0, popsize=20, initial=60, buffer=50)
-    losses = np.random.default_rng(0).random(60)
-    for i in range(3):
-        opt.tell(opt.ask(), losses=losses[20 * i : 20 * i + 20])
-    np.testing.assert_array_equal(opt._values, np.sort(losses)[:50])
-
-
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"initial": 1},
-        {"buffer": 0},
-        {"alpha": 0.0},
-        {"precision": "half"},
-        {"proposals": 0},
-    ],
-    ids=str,
-)
-def test_options_out_of_range_are_named(options: dict[str, Any]) -> None:
-    with pytest.raises(OptionError, match=next(iter(options))):
-        DiBO(2, **options)

@@ -98,12 +98,6 @@ def test_it_learns_from_uniform_points_and_then_samples_the_answer() -> None:
     assert opt.times["train"] > 0.0
 
 
-@pytest.mark.parametrize("options", [{"share": 1.5}, {"budget": 0}, {"epochs": 0}], ids=str)
-def test_options_out_of_range_are_named(options: dict[str, Any]) -> None:
-    with pytest.raises(OptionError, match=next(iter(options))):
-        Inverse(2, picture(ANSWER)[0], **options)
-
-
 def test_the_step_is_the_formula_in_the_space_of_the_features() -> None:
     rng = np.random.default_rng(0)
     x, e, misfit = rng.random((9, 4)), rng.random((9, 20)), rng.random((9, 20))

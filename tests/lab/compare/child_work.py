@@ -21,11 +21,5 @@ def work(item: Any) -> Any:
     return os.getpid(), item
 
 
-def stubborn(item: Any) -> Any:
-    """The same, deaf to being told to stop, as an optimizer is in the middle of a step."""
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    return work(item)
-
-
-def lost(item: Any) -> Any:
+def lost(item: Any, why: str) -> Any:
     return None, item

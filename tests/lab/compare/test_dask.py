@@ -58,7 +58,7 @@ def test_a_failure_on_a_cluster_is_recorded(cluster: Any, tmp_path: Path) -> Non
 
 
 def test_clusters_that_cannot_be_used_are_named(cluster: Any, tmp_path: Path) -> None:
-    from fide_plugins.runtime import machine as module
+    from fide_lab.compare import driver as module
 
     with pytest.raises(OptionError, match="no Dask scheduler answers at tcp://127.0.0.1:9"):
         timeout, module._TIMEOUT = module._TIMEOUT, 0.3

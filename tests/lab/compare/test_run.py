@@ -222,7 +222,7 @@ def test_a_process_that_dies_before_its_run_begins_costs_that_run_only(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def dying(work: Any, items: list[Any], jobs: int, lost: Any) -> Iterator[Outcome]:
-        yield lost(items[0])
+        yield lost(items[0], "its worker process died")
         yield from map(work, items[1:])
 
     monkeypatch.setattr(processes, "in_processes", dying)
@@ -230,7 +230,7 @@ def test_a_process_that_dies_before_its_run_begins_costs_that_run_only(
     outcomes = compare.run(small("random", seeds=2), tmp_path, jobs=2)
     assert [outcome.kind for outcome in outcomes] == ["failed", "done"]
     said = (tmp_path / outcomes[0].key.folder / "error.txt").read_text()
-    assert said == f"{outcomes[0].note}\n" == "the process that ran it died\n"
+    assert said == f"{outcomes[0].note}\n" == "its worker process died\n"
 
 
 def test_a_run_that_another_process_executes_is_left_alone(tmp_path: Path) -> None:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+import base64
 import csv
 import html.parser
 import io
 import json
-import re
 from dataclasses import replace
 from pathlib import Path
-from urllib.parse import unquote
 
 import numpy as np
 import pytest
@@ -69,10 +68,9 @@ def test_everything_that_is_seen_can_be_read_aloud(written: Path) -> None:
 
 
 def test_the_figures_hold_the_medians(written: Path, study: Path) -> None:
-    files = list((written.parent / "figures").iterdir())
-    assert len(files) == 3 and {path.suffix for path in files} == {".png"}
-    for path in files:
-        with Image.open(path) as png:
+    for image in Page(written).all("img"):
+        data = base64.b64decode(image["src"].removeprefix("data:image/png;base64,"))
+        with Image.open(io.BytesIO(data)) as png:
             assert png.width > 300 and len(np.unique(np.asarray(png.convert("L")))) > 20
     (panel,) = panels(compare.read(study), {})
     lines = plots.convergence(panel, "renders").axes[0].lines
@@ -97,23 +95,6 @@ def test_results_csv_has_a_line_for_each_cell(written: Path, study: Path) -> Non
 def test_formulas_of_a_spreadsheet_are_led_by_an_apostrophe() -> None:
     text = tables.results_csv(results([result("=cmd|' /C calc'!A0", 0, 0.1)]))
     assert next(iter(csv.reader(io.StringIO(text.splitlines()[1]))))[2] == "'=cmd|' /C calc'!A0"
-
-
-def test_markdown_reads_as_a_table(written: Path) -> None:
-    text = written.with_suffix(".md").read_text()
-    tables_of = [block for block in text.split("\n\n") if block.startswith("| ")]
-    assert len(tables_of) == 1
-    for block in tables_of:
-        lines = block.splitlines()
-        assert len({len(line) for line in lines}) == 1, "aligned"
-        assert len({len(re.findall(r"(?<!\\)\|", line)) for line in lines}) == 1
-    assert "\\<script\\>" in text and "**" in text
-    prose = "\n".join(line for line in text.splitlines() if not line.startswith("    "))
-    assert not re.search(r"(?<!\\)<", prose), "names are no markup in headings and sentences"
-    names = re.findall(r"\]\((figures/[^)]*)\)", text)
-    assert len(names) == 3
-    for name in names:
-        assert (written.parent / unquote(name)).is_file()
 
 
 def test_the_winner_is_bold_and_differences_are_marked() -> None:
@@ -158,9 +139,7 @@ def test_one_run_of_one_optimizer_is_a_report_too(tmp_path: Path) -> None:
     written = report.write(compare.read(tmp_path / "a"), tmp_path / "elsewhere" / "page.html")
     assert "random has the lowest median" in written.overview
     names = {path.name for path in (tmp_path / "elsewhere").iterdir()}
-    beside = {"page-results.csv", "page-figures"}
-    assert names == {"page.html", "page.md", *beside}, "another report may lie there"
-    assert "](page-figures/images-spline-mse.png)" in written.page.with_suffix(".md").read_text()
+    assert names == {"page.html", "page-results.csv"}, "another report may lie there"
 
 
 def test_what_cannot_be_reported_is_named(study: Path, tmp_path: Path) -> None:
@@ -196,19 +175,6 @@ def test_failures_are_said_and_optimizers_without_a_finished_run_listed() -> Non
     titles = [title for title, _ in table.columns]
     at = [titles.index(title) for title in ("median mse", "success", "times winner")]
     assert [shown["c"][i] for i in at] == ["none", "0 of 6", "over 1,000"]
-
-
-def test_failures_reach_the_page_the_markdown_and_the_terminal(study: Path, written: Path) -> None:
-    there = compare.read(study)
-    other = [failed("cma", s, task="b_2") for s in range(2)]
-    overview = report.write(replace(there, runs=[*there.runs, *other]), written).overview
-    page, text = Page(written), written.with_suffix(".md").read_text()
-    for said in (
-        f"1 of 6 runs failed and count as infinite: {NASTY['configuration']} 1 of 3.",
-        "b_2, mse: no run is finished, 2 of 2 failed.",
-    ):
-        assert said in overview and said in page.text and tables.escaped(said) in text
-    assert "\\" not in overview.replace("\\1", ""), "a terminal shows names without escapes"
 
 
 def test_equal_and_infinite_medians_are_no_victory() -> None:

@@ -89,7 +89,7 @@ def test_a_run_that_stops_while_it_is_judged_can_be_resumed(event: Any, tmp_path
     resumed = harness.run(task, **settings, out=tmp_path, resume=True)
     assert task.calls == 0
     assert same(whole, resumed)
-    assert resumed.wall_s == pytest.approx(wall, abs=0.5)
+    assert resumed.wall_s == pytest.approx(wall, abs=5)
 
 
 def test_a_renderer_that_fails_at_the_target_is_named() -> None:

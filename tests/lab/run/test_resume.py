@@ -164,7 +164,7 @@ def test_a_second_process_is_refused_and_a_refused_one_holds_no_lock(tmp_path: P
         refused.append({p.name: p.read_bytes() for p in tmp_path.iterdir()} == before)
 
     harness.run(Tint(), **settings, out=tmp_path, on_progress=again)
-    assert refused and all(refused) and not list(tmp_path.glob(".*"))
+    assert refused and all(refused)
     with pytest.raises(RunDirectoryError, match="already holds a run"):
         harness.run(Tint(), **settings, out=tmp_path)
     with pytest.raises(OptionError) as kept:  # with all that its traceback refers to
@@ -248,23 +248,6 @@ def test_an_optimizer_that_cannot_be_saved_hides_no_error(
     assert any("save is broken" in note for note in caught.value.__notes__)
 
 
-def test_an_optimizer_that_fails_leaves_its_results(
-    known: Callable[[type], str], tmp_path: Path
-) -> None:
-    class Breaks(Random):
-        def ask_ready(self) -> Any:
-            if self.evaluations >= 15:
-                raise ArithmeticError("lost")
-            return super().ask_ready()
-
-    known(Breaks)
-    with pytest.raises(ArithmeticError, match="lost"):
-        harness.run(Tint(), "breaks", budget=200, seed=0, out=tmp_path)
-    n = json.loads((tmp_path / "run.json").read_text())["totals"]["evaluations"]
-    assert n >= 15 and len((tmp_path / "curve.csv").read_text().splitlines()) == n + 1
-    assert {"best.png", "target.png", "improvements.csv"} <= {p.name for p in tmp_path.iterdir()}
-
-
 def test_an_optimizer_that_fails_leaves_the_last_whole_state(
     known: Callable[[type], str], tmp_path: Path
 ) -> None:
@@ -279,6 +262,8 @@ def test_an_optimizer_that_fails_leaves_the_last_whole_state(
     settings: dict[str, Any] = {"optimizer": "breaks", "budget": 40, "options": {"popsize": 5}}
     with pytest.raises(ArithmeticError, match="lost"):
         harness.run(Tint(), **settings, out=tmp_path, checkpoint_every=0.0)
+    assert len((tmp_path / "curve.csv").read_text().splitlines()) > 10
+    assert {"best.png", "target.png", "improvements.csv"} <= {p.name for p in tmp_path.iterdir()}
     fail = False
     resumed = harness.run(Tint(), **settings, out=tmp_path, resume=True)
     assert same(resumed, harness.run(Tint(), "random", budget=40, options={"popsize": 5}))

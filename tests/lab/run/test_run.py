@@ -85,7 +85,7 @@ def test_the_run_directory(tmp_path: Path) -> None:
     result = harness.run("spline", "cma", "mse", 80, 4, size=40, out=out, command=["fide", "a b"])
     assert {p.name for p in out.iterdir()} == {
         "run.json", "curve.csv", "improvements.csv", "best.png", "summary.png", "target.png",
-        "target.ckpt", "run.ckpt", "optimizer-80-4.ckpt",  # 80 of 84: seven generations of 12
+        "target.ckpt", ".run.lock", "run.ckpt", "optimizer-80-4.ckpt",  # 80 of 84: 7 times 12
     }  # fmt: skip
     run = json.loads((out / "run.json").read_text())
     assert run["state"] == "finished" and run["command"] == "fide 'a b'"

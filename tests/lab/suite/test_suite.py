@@ -118,7 +118,7 @@ def test_a_part_from_the_command_line(
     assert fide(*words, "--optimizers", "cma,random") == 0
     printed = capsys.readouterr()
     assert "povray of image-fitting-v1 is left out, it cannot be rendered" in printed.err
-    assert "image-fitting-v1: 2 runs of 40 renders each (--scenes, --targets" in printed.err
+    assert "image-fitting-v1: 2 runs of 40 renders (--scenes, --targets" in printed.err
     assert "This is a part of the suite image-fitting-v1: 1 of 110 problems" in printed.out
     assert fide(*words, "--optimizers", "cma,eki:popsize=20", "--resume") == 0
     lines = (out / "solved.csv").read_text().splitlines()
@@ -129,15 +129,11 @@ def test_a_part_from_the_command_line(
     text = (out / "report.html").read_text()
     assert text.count("<img ") == 1 and "1 of 110 problems" in text
     assert "3 optimizers, 1 problem of 1 scene, read at 40 renders" in text
-    assert "eki:popsize=20" in text and "| eki:popsize=20 |" in (out / "report.md").read_text()
-    assert (out / "figures" / "data-profile.png").is_file()
-    assert "fide compare --suite" in (out / "report.md").read_text()
+    assert "eki:popsize=20" in text and "fide compare --suite" in text
     before = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
     assert fide("report", out, "-o", out / "a b.html") == 0
     assert {path.name: path.read_bytes() for path in out.iterdir() if path.name in before} == before
     assert (out / "a b-solved.csv").read_text() == (out / "solved.csv").read_text()
-    assert (out / "a b-figures" / "data-profile.png").is_file()
-    assert "](a%20b-figures/data-profile.png)" in (out / "a b.md").read_text()
     assert fide("report", out, "-o", out / "page.txt") == 2
 
 
@@ -146,9 +142,8 @@ import numpy as np
 
 
 class Breaks:
-    def __init__(self, dim, target, only_black=True):
-        self.dim = dim
-        self.breaks = not only_black or target[0, 0].sum() < THRESHOLD
+    def __init__(self, dim, target):
+        self.dim, self.breaks = dim, target[0, 0].sum() < THRESHOLD
 
     def ask(self, n):
         return np.full((n, self.dim), 0.5)
@@ -176,8 +171,7 @@ def test_failed_runs_are_unsolved_and_open_ones_left_out(
         f"{', '.join(broken)}."
     )
     assert "3 of 110 problems" in printed.out and sentence in printed.out
-    for name in ("report.html", "report.md"):
-        assert sentence in Path("out", name).read_text().replace("\\", "")
+    assert sentence in Path("out/report.html").read_text()
     rows = [line.split(",") for line in Path("out/solved.csv").read_text().splitlines()]
     for problem in broken:
         assert [problem, "", "inf"] in [[r[0], *r[3:]] for r in rows if r[2] == "mine.py:Breaks"]
@@ -187,19 +181,6 @@ def test_failed_runs_are_unsolved_and_open_ones_left_out(
     printed = capsys.readouterr()
     assert "2 of 110 problems" in printed.out
     assert "Left out, 1 problem: random (missing) on lamps-1." in printed.out
-
-
-def test_nothing_but_failures_is_exit_code_1(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "mine.py").write_text(BREAKS)
-    words = ["compare", "--suite", "image-fitting-v1", "--scenes", "lamps", "--budget", 40]
-    words += ["--targets", 1, "--optimizers", "mine.py:Breaks:only_black=false", "--out", "out"]
-    assert fide(*words) == fide("report", "out") == 1
-    err = capsys.readouterr().err
-    assert err.count("no run in out is finished, and 1 of 1 failed; error.txt in their direct") == 2
-    assert list(Path("out").rglob("error.txt")) and not Path("out/report.html").exists()
 
 
 @pytest.mark.parametrize(

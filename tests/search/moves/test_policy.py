@@ -90,7 +90,7 @@ def test_state_goes_on_in_the_middle_of_every_move(render: Any, after: int) -> N
 def test_optima_are_tried_by_rank_and_failures() -> None:
     optima = Optima()
 
-    def distance(a: Float64, b: Float64) -> float:
+    def distance(a: Float64, b: Float64, enough: float = np.inf) -> float:
         return float(np.abs(a - b).max())
 
     assert optima.next(2) is None

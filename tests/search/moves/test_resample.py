@@ -109,3 +109,35 @@ def test_a_search_by_losses_alone_goes_on_with_the_next_hypothesis() -> None:
     moves.after_search(None, 100, guided=False)
     assert moves.stage is Stage.SEARCH
     assert moves.move == "learned" and not moves.guided
+
+
+def test_the_best_hypothesis_is_completed_once() -> None:
+    """In the parameters that others leave open; it is among what is chosen from afterwards."""
+    known, there = scene(), hypotheses()
+    found = [(1.0, there[0]), (0.5, HERE), (2.0, there[1])]
+    learned = Hypotheses(Posterior(there), 4)
+    assert learned.complete(found, known)
+    x = learned.draw(known, 20, np.random.default_rng(0))
+    np.testing.assert_array_equal(x[:, KNOWN], np.tile(HERE[KNOWN], (len(x), 1)))
+    assert (x[:, OPEN] != HERE[OPEN]).any(axis=1).all()
+    again = Hypotheses(None, 4)
+    again.load_state_dict(learned.state_dict())
+    np.testing.assert_array_equal(again.draw(known, 20, np.random.default_rng(0)), x)
+    learned.learn([*learned.before, (0.7, x[0])], x[0], known.exchangeability.distance)
+    np.testing.assert_array_equal(learned.next(known, learned.begin_at(known, HERE)).mean, HERE)
+    assert not learned.complete(found, known)
+
+
+def test_where_hypotheses_agree_nothing_is_completed() -> None:
+    there = hypotheses()
+    there[:, OPEN] = HERE[OPEN]
+    assert not Hypotheses(Posterior(there), 4).complete([(1.0, HERE)], scene())
+
+
+def test_after_descents_a_search_is_narrow_but_in_what_is_open() -> None:
+    there = hypotheses()
+    there[:, OPEN] = np.random.default_rng(1).random((len(there), 2))
+    known, learned = scene(), Hypotheses(Posterior(there), 4)
+    learned.replace(HERE[None])
+    std = learned.next(known, learned.begin_at(known, HERE + 0.01)).std
+    assert (std[KNOWN] <= 0.02).all() and (std[OPEN] > 0.05).all()
