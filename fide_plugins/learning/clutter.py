@@ -169,7 +169,7 @@ def _shadowed(behind: Tensor, coverage: Tensor, generator: torch.Generator) -> T
     return shadowed
 
 
-def _hidden(images: Tensor, generator: torch.Generator) -> Tensor:
+def occluded(images: Tensor, generator: torch.Generator) -> Tensor:
     """Behind a thing with a pattern: a rectangle of random colors, smooth or in one piece."""
     n, _, height, width = images.shape
     center, half = uniform(n, 2, 0.0, 1.0, generator), uniform(n, 2, *_THING, generator) / 2
@@ -224,7 +224,7 @@ def _compressed(images: Tensor, generator: torch.Generator) -> Tensor:
 
 
 _CLUTTER = (
-    (in_front, 1 / 4), (_hidden, 1 / 2), (_lit, 3 / 4), (_out_of_focus, 1 / 2), (_noised, 1 / 2),
+    (in_front, 1 / 4), (occluded, 1 / 2), (_lit, 3 / 4), (_out_of_focus, 1 / 2), (_noised, 1 / 2),
     (_compressed, 1 / 4),
 )  # fmt: skip
 

@@ -116,7 +116,7 @@ def test_other_kind_version_and_format_are_refused(
         checkpoint.read(path, "other")
     with monkeypatch.context() as patch:
         patch.setattr(checkpoint, "VERSION", checkpoint.VERSION + 1)
-        with pytest.raises(CheckpointError, match="version 6 and this is 7"):
+        with pytest.raises(CheckpointError, match=r"version \d+ and this is \d+"):
             checkpoint.read(path, KIND)
     for foreign in (pickle.dumps([1, 2, 3]), b"PK\x03\x04" + bytes(99), b"{}"):
         path.write_bytes(foreign)
