@@ -393,7 +393,7 @@ def test_one_light_of_all_renders_is_that_of_the_photograph() -> None:
     assert light is not None
     left = np.square(light.applied(here) - target).mean()
     assert left < 0.05 * np.square(here - target).mean()
-    other = np.random.default_rng(1).random(renders.shape)
+    other = np.random.default_rng(1).random(renders.shape).astype(np.float32)
     assert common_light(other, target, None, "shading") is None
 
 
