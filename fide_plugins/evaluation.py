@@ -154,7 +154,7 @@ class Evaluator:
         if state is None:
             return self
         other = self._copy()
-        other.comparison = other._compared_by(**{**self._how, **checked(state)})
+        other.comparison = other._compared_by(**{**self._how, **checked(state, self.views)})
         other.target_tokens = other.encoder.compute(other.comparison.at().views.target[None])[0]
         return other
 
@@ -335,6 +335,8 @@ class Evaluator:
             taken = as_features(features, shape, self.encoder, version=version)
             tokens = taken if encode else None
         assert values is not None
+        if shown is not None and self.comparison is not None:
+            self.comparison.note(shown)
         return Evaluation(values, batch, tokens, told)
 
     def at_blur(self, results: Evaluation, blur: float, *, encode: bool = True) -> Evaluation:

@@ -28,7 +28,7 @@ from fide_plugins.comparison.light import (
 from fide_plugins.comparison.scale_space import blurred
 from fide_plugins.losses.base import ImageLoss
 from fide_plugins.runtime.opencv import cv2
-from fide_plugins.runtime.schema import Schema, array, check, each, maybe, real, text
+from fide_plugins.runtime.schema import Schema, array, check, maybe, real, row, text
 from fide_plugins.types import Float32, Float64
 from fide_plugins.views.views import View, Views
 
@@ -132,8 +132,6 @@ class Comparison:
                 light.append(found)
                 hidden[i] += free / len(parts)
             made[i] = self.views.pack(adjusted)
-            if blur is None:
-                self._note(adjusted)
             if light[0] is not None:
                 lights.append(light)  # type: ignore[arg-type]
         losses = level.loss.compute(made)
@@ -141,13 +139,13 @@ class Comparison:
             losses = losses + hidden * level.free
         return Compared(made, losses, lights or None)
 
-    def _note(self, adjusted: list[Float32]) -> None:
-        """Note of each pixel the least difference of any render."""
-        shown = [one.shown for one in self.at().each]
-        apart = [one - target for one, target in zip(adjusted, shown, strict=True)]
-        before = apart if self.least is None else self.least
-        pairs = zip(apart, before, strict=True)
-        self.least = [np.where(_squares(a) < _squares(b), a, b) for a, b in pairs]
+    def note(self, adjusted: Float32) -> None:
+        """Note of each pixel the least difference of any render; adjusted: as it is compared."""
+        for image in adjusted:
+            parts = zip(self.views.split(image[None]), self.at().each, strict=True)
+            apart = [part[0] - one.shown for part, one in parts]
+            pairs = zip(apart, apart if self.least is None else self.least, strict=True)
+            self.least = [np.where(_squares(a) < _squares(b), a, b) for a, b in pairs]
 
     @property
     def floor(self) -> float:
@@ -360,9 +358,11 @@ def _times(image: Float32, factor: Float32) -> Float32:
     return np.asarray(cv2.multiply(image, cv2.merge([factor, factor, factor])), np.float32)
 
 
-def checked(state: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The state of a comparison; ValueError if it is none."""
-    check(state, _SCHEMA, {}, "comparison")
+def checked(state: Mapping[str, Any], views: Views) -> Mapping[str, Any]:
+    """The state of a comparison with these views; ValueError if it is none."""
+    least = maybe(row(*(array(*view.size, 3) for view in views.views)))
+    common = maybe(row(*[_LIGHT] * len(views.views)))
+    check(state, {**_SCHEMA, "common": common, "least": least}, {}, "comparison")
     if state["light"] not in (NONE, EXPOSURE, SHADING):
         raise ValueError(f"{state['light']!r} is no light")
     common = state["common"]
@@ -370,16 +370,14 @@ def checked(state: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 _LIGHT: dict[str, Schema] = {
-    "gain": array("k", "k", "colors"),
-    "offset": array("colors"),
-    "curve": array("colors"),
+    "gain": array("k", "k", 3),
+    "offset": array(3),
+    "curve": array(3),
 }
 _SCHEMA: dict[str, Schema] = {
     "light": text,
     "blur": real(0.0),
     "camera": real(0.0),
-    "common": maybe(each(_LIGHT)),
-    "least": maybe(each(array("H", "W", "colors"))),
 }
 
 

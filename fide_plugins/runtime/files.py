@@ -164,13 +164,15 @@ def _sync_folder(folder: Path) -> None:
 def locked(path: str | os.PathLike[str], wait: bool = False) -> Iterator[bool]:
     """Lock the file `path`, made if it is missing; yields whether this process holds the lock.
 
-    wait: wait for it.  The system releases the lock when a process ends, however.  Where there are
-    no such locks (Windows, some network file systems) the result is always True.
+    wait: wait for it.  The system releases the lock when a process ends, however; processes that it
+    has forked do not hold it.  Where there are no such locks (Windows, some network file systems)
+    the result is always True.
     """
     if fcntl is None:
         yield True
         return
     descriptor = os.open(path, os.O_CREAT | os.O_RDWR | _NO_LINKS, 0o666)
+    _HELD.add(descriptor)
     try:
         how = fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB)
         mine = _flock(descriptor, how)
@@ -179,9 +181,21 @@ def locked(path: str | os.PathLike[str], wait: bool = False) -> Iterator[bool]:
             mine = _flock(descriptor, how)
         yield mine is not False
     finally:
-        with suppress(OSError):  # also of a forked process, which has the same one
-            fcntl.flock(descriptor, fcntl.LOCK_UN)
-        os.close(descriptor)
+        if descriptor in _HELD:  # not in a forked process, whose parent has the lock
+            _HELD.remove(descriptor)
+            os.close(descriptor)
+
+
+_HELD: set[int] = set()  # descriptors of the locks of this process
+
+
+def _close_all() -> None:
+    while _HELD:
+        os.close(_HELD.pop())
+
+
+if hasattr(os, "register_at_fork"):  # not on Windows, which has no fork
+    os.register_at_fork(after_in_child=_close_all)
 
 
 def is_locked(path: str | os.PathLike[str]) -> bool | None:

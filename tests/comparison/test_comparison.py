@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from fide_plugins.comparison.auto import camera_blur, has_other_colors
 from fide_plugins.comparison.light import common_light, fit_light
 from fide_plugins.comparison.mismatch import explanation
 from fide_plugins.comparison.scale_space import blurred
-from fide_plugins.errors import ImageError, OptionError
+from fide_plugins.errors import ImageError, LossError, OptionError
 from fide_plugins.evaluation import Evaluator
 from fide_plugins.status import Facts, status_of
 
@@ -393,7 +394,7 @@ def test_one_light_of_all_renders_is_that_of_the_photograph() -> None:
     assert light is not None
     left = np.square(light.applied(here) - target).mean()
     assert left < 0.05 * np.square(here - target).mean()
-    other = np.random.default_rng(1).random(renders.shape).astype(np.float32)
+    other = np.random.default_rng(1).random(renders.shape, np.float32)
     assert common_light(other, target, None, "shading") is None
 
 
@@ -405,3 +406,25 @@ def test_the_floor_is_what_no_render_removes() -> None:
     values = losses(made, [render(x) for x in ([0.9, 0.1], [0.2, 0.4], TRUE)])
     assert made.comparison.floor == pytest.approx(values[2])
     assert made.comparison.floor < values[:2].min()
+    before = made.comparison.least
+    made.adjusted([target])
+    with pytest.raises(LossError):
+        made.evaluate(1, target[None], ["bad"])
+    assert made.comparison.least is before, "no candidate was told"
+
+
+def test_views_of_two_sizes_go_on_from_a_file(tmp_path: Path) -> None:
+    views = [render(TRUE), render(TRUE)[:20]]
+    one = FIDE(2, views, seed=0, popsize=8, photometric="exposure")
+
+    def tell(optimizer: FIDE) -> None:
+        X = optimizer.ask()
+        images = [render(x) for x in X]
+        optimizer.tell(X, [images, [image[:20] for image in images]])
+
+    tell(one)
+    one.save(tmp_path / "photo.ckpt")
+    other = FIDE.load(tmp_path / "photo.ckpt")
+    tell(one)
+    tell(other)
+    np.testing.assert_array_equal(one.ask(), other.ask())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -67,22 +68,29 @@ import os, sys, time
 from fide_plugins.runtime import files
 
 with files.locked(sys.argv[1]):
-    print(os.getpid(), flush=True)
+    if os.fork() == 0:
+        print(os.getpid(), flush=True)
+        time.sleep(60)
+        os._exit(0)
     time.sleep(60)
 """
 
 
 @needs_locks
-def test_a_lock_ends_with_its_process(tmp_path: Path) -> None:
+def test_a_lock_ends_with_its_process_also_where_a_forked_one_lives_on(tmp_path: Path) -> None:
     command = [sys.executable, "-c", HOLDER, str(tmp_path / "lock")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as holder:
-        assert holder.stdout is not None and holder.stdout.readline()
-        with files.locked(tmp_path / "lock") as mine:
-            assert not mine
-        holder.kill()
-        holder.wait()
-        with files.locked(tmp_path / "lock") as mine:
-            assert mine
+        assert holder.stdout is not None
+        child = int(holder.stdout.readline())
+        try:
+            with files.locked(tmp_path / "lock") as mine:
+                assert not mine
+            holder.kill()
+            holder.wait()
+            with files.locked(tmp_path / "lock") as mine:
+                assert mine
+        finally:
+            os.kill(child, signal.SIGKILL)
 
 
 @needs_locks
