@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from fide_plugins import Float, Space, fit
+from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.types import Float64
 
 V, U = np.mgrid[0:48, 0:48] / 47
@@ -106,3 +108,32 @@ def test_noise_of_the_renderer_ends_a_fit_only_if_told() -> None:
 
     assert stopped("solved") == ("budget", "noise")
     assert stopped("stalled") == ("stalled", "noise")
+
+
+@pytest.mark.parametrize(
+    ("code", "improved_at", "evaluations", "over"),
+    [
+        ("noise", 8, 16, True),  # the renderer has noise
+        ("agreed", 8, 400, True),
+        ("unsure", 8, 400, False),  # moves have not had their chance
+        ("unsure", 8, 1208, True),
+        ("unsure", 2000, 3992, False),  # what took long may take as long again
+        ("unsure", 2000, 4000, True),
+        ("improving", 8, 5000, False),
+    ],
+)
+def test_a_fit_is_stalled_after_many_moves(
+    code: str, improved_at: int, evaluations: int, over: bool
+) -> None:
+    state = SimpleNamespace(
+        evaluations=evaluations, improved_at=improved_at, retargeted_at=0, best=None,
+        pixel_noise=SimpleNamespace(variance=0.01),
+    )  # fmt: skip
+    optimizer: Any = SimpleNamespace(
+        popsize=8, dim=4, state=state, status=SimpleNamespace(code=code),
+        views=SimpleNamespace(numbers=256),
+    )  # fmt: skip
+    losses = [1.0] * (evaluations - 1) + [0.1]
+    reached = Stopping(None, until="stalled").reached(losses, 1.0, 0.1, True, optimizer)
+    assert reached == ("stalled" if over else None)
+    assert Stopping(None).reached(losses, 1.0, 0.1, True, optimizer) is None
