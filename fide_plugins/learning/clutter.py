@@ -42,8 +42,7 @@ _CONTRAST, _LIGHT = (0.4, 1.2), 0.2  # of a background
 _WIDEST_RIM = 0.06  # of the longer side
 _SHADOW, _SHADOW_SHIFT = 0.5, 0.06  # at its darkest; of the longer side
 _GAMMA, _GAIN = 0.6, 0.4  # powers of 2
-_WHITE, _SHADING, _OFFSET = 0.08, 0.35, 0.1
-_THING, _FINEST = (0.1, 0.4), 6  # sides of a thing in front, of the image's; colors along a side
+_WHITE, _SHADING, _OFFSET = 0.08, 0.3, 0.1
 _FOCUS = 0.3, 1.0  # standard deviation of a blur of 5 x 5 pixels, in pixels
 _NOISE = 0.04  # standard deviation of noise, at most
 _QUALITY = 30, 95  # of JPEG
@@ -59,8 +58,8 @@ class Clutter:
     1. background   a crop of another picture, mirrored, of another contrast, with rectangles on it
     2. rim          in half of the images another gray around the object: paper, an edge
     3. shadow       beside the object, in a quarter
-    4. in front     up to two rectangles: of one color, and larger ones with a pattern
-    5. light        gain, offset, gamma and white, and a gain that is smooth over the picture
+    4. in front     up to two rectangles
+    5. light        gain, offset, gamma and white, and a gain that is a plane over the picture
     6. camera       blur, noise and JPEG
 
     So the same renders serve many passes, and what only clutter decides is marginalized.  Renders
@@ -169,38 +168,19 @@ def _shadowed(behind: Tensor, coverage: Tensor, generator: torch.Generator) -> T
     return shadowed
 
 
-def occluded(images: Tensor, generator: torch.Generator) -> Tensor:
-    """Behind a thing with a pattern: a rectangle of random colors, smooth or in one piece."""
-    n, _, height, width = images.shape
-    center, half = uniform(n, 2, 0.0, 1.0, generator), uniform(n, 2, *_THING, generator) / 2
-    fine = 1 + int(torch.randint(_FINEST, (), generator=generator, device=generator.device))
-    colors = uniform(n, 3 * fine * fine, 0.0, 1.0, generator).view(n, 3, fine, fine)
-    y, x = (
-        (middles(side, images.device) - center[:, i : i + 1]) / half[:, i : i + 1]
-        for i, side in enumerate((height, width))
-    )
-    at = torch.stack(
-        [x[:, None, :].expand(-1, height, -1), y[:, :, None].expand(-1, -1, width)], dim=-1
-    )
-    pattern = torch.nn.functional.grid_sample(
-        colors, at, padding_mode="border", align_corners=False
-    )
-    return torch.where((at.abs() < 1).all(-1)[:, None], pattern, images)
-
-
 def _lit(images: Tensor, generator: torch.Generator) -> Tensor:
-    """In another light: gamma, gain, a gain that is smooth over the picture, white, offset."""
+    """In another light: gamma, gain, a gain that is a plane over the picture, white, offset."""
     n, _, height, width = images.shape
     gamma = torch.exp2(uniform(n, 1, -_GAMMA, _GAMMA, generator))
     gain = torch.exp2(uniform(n, 1, -_GAIN, _GAIN, generator))
     white = 1 + uniform(n, 3, -_WHITE, _WHITE, generator)
-    gains = uniform(n, 9, 1 - _SHADING, 1 + _SHADING, generator).view(n, 1, 3, 3)
+    slopes = uniform(n, 2, -_SHADING, _SHADING, generator)[:, :, None, None]
     offset = uniform(n, 1, -_OFFSET, _OFFSET, generator)
-    smooth = torch.nn.functional.interpolate(
-        gains, (height, width), mode="bicubic", align_corners=False
-    )
+    y = 2 * middles(height, images.device)[:, None] - 1
+    x = 2 * middles(width, images.device)[None, :] - 1
+    plane = 1 + slopes[:, :1] * y + slopes[:, 1:] * x  # (n, 1, H, W)
     bent = images.clamp(0.0, 1.0) ** gamma[:, :, None, None]
-    return smooth * bent * (gain * white)[:, :, None, None] + offset[:, :, None, None]
+    return plane * bent * (gain * white)[:, :, None, None] + offset[:, :, None, None]
 
 
 def _out_of_focus(images: Tensor, generator: torch.Generator) -> Tensor:
@@ -224,7 +204,7 @@ def _compressed(images: Tensor, generator: torch.Generator) -> Tensor:
 
 
 _CLUTTER = (
-    (in_front, 1 / 4), (occluded, 1 / 2), (_lit, 3 / 4), (_out_of_focus, 1 / 2), (_noised, 1 / 2),
+    (in_front, 1 / 4), (in_front, 1 / 4), (_lit, 3 / 4), (_out_of_focus, 1 / 2), (_noised, 1 / 2),
     (_compressed, 1 / 4),
 )  # fmt: skip
 

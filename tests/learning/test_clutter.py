@@ -16,7 +16,7 @@ from fide_plugins import FIDE
 from fide_plugins.cli import main
 from fide_plugins.errors import ImageError, OptionError
 from fide_plugins.learning import LearnProgress, Model, learn
-from fide_plugins.learning.clutter import Clutter, clutter_of, generated, occluded
+from fide_plugins.learning.clutter import Clutter, clutter_of, generated
 from fide_plugins.learning.networks import Network
 from fide_plugins.learning.training import Training
 from fide_plugins.types import Float32, Float64
@@ -89,18 +89,6 @@ def test_rims_light_and_things_in_front_change_what_photographs_change() -> None
     assert middle.std() > 0.1  # light, things in front
     assert beside.std() > 1.2 * before[:, :, 5:11, 4].mean((1, 2)).std()  # rims, shadows
     assert (middle - 0.8).abs().median() < 0.15  # and most of the object is still seen
-
-
-def test_a_thing_in_front_is_a_rectangle_with_a_pattern() -> None:
-    images = occluded(torch.full((64, 3, 32, 32), 2.0), seeded())
-    hidden = (images != 2).any(1)  # (n, H, W)
-    for one in hidden:
-        rows, columns = one.any(1), one.any(0)
-        assert torch.equal(one, rows[:, None] & columns)
-        assert rows.sum() <= 0.4 * 32 + 1 and columns.sum() <= 0.4 * 32 + 1
-    shown = images.movedim(1, -1)[hidden]
-    assert hidden.any((1, 2)).all() and shown.min() >= 0 and shown.max() <= 1
-    assert shown.std() > 0.1
 
 
 @pytest.mark.parametrize("seed", [0, 1])
