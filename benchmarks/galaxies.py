@@ -3,7 +3,7 @@
     pip install galsim astrophot
     python benchmarks/galaxies.py --table   # without --table: measure what is missing
 
-Five images of two random Sersic galaxies each, as in `examples/galaxy.py`: GalSim draws them, the
+Ten images of two random Sersic galaxies each, as in `examples/galaxy.py`: GalSim draws them, the
 sky and the point spread function are known, photons and detector make noise.  Nobody gets a guess.
 FIDE is `fit` with at most 800 renders, then SciPy's least squares from there.
 AstroPhot starts from what it estimates itself (`initialize`), or with the places that peaks of
@@ -35,7 +35,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.append(str(ROOT / "examples"))
 galaxy: Any = import_module("galaxy")
 RESULTS = ROOT / "benchmarks" / "results" / "galaxies.jsonl"
-METHODS, TARGETS, RENDERS = ("fide", "astrophot", "peaks"), range(5), 800
+METHODS, TARGETS, RENDERS = ("fide", "astrophot", "peaks"), range(10), 800
 SOLVED = 0.02
 """Mean square of the difference between found and true counts, in variances of the noise, at most;
 the best fit has about 14 / 48^2 = 0.006."""
