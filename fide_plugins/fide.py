@@ -494,6 +494,7 @@ class FIDE(Saved):
         samples, target = state.take_samples(), self.evaluator.tokens_at(state.scales.blur)
         if state.moves.hypotheses is not None:
             state.moves.hypotheses.floor = self._floor
+            state.moves.hypotheses.covered = state.kept is not None and state.kept.covered
         if state.moves.stage is not Stage.SEARCH:
             state.finish_stage(members, losses, samples, target)
             return
@@ -520,9 +521,14 @@ class FIDE(Saved):
 
     @property
     def _floor(self) -> float:
-        """Loss of a photograph that no candidate removes, by a model's hypotheses; else 0."""
-        comparison, hypotheses = self.evaluator.comparison, self.state.moves.hypotheses
-        return 0.0 if comparison is None or hypotheses is None else comparison.floor
+        """Loss of a photograph that no candidate removes, by a model's hypotheses; else 0.
+
+        What renders do not cover is free: there none is.
+        """
+        comparison, kept = self.evaluator.comparison, self.state.kept
+        if comparison is None or self.state.moves.hypotheses is None:
+            return 0.0
+        return 0.0 if kept is not None and kept.covered else comparison.floor
 
     def _train(self, samples: list[TrainingSample], target: Tensor) -> None:
         """Line 8: the proposer learns from what was evaluated since the last time."""

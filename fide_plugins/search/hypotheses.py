@@ -15,7 +15,7 @@ import numpy as np
 
 from fide_plugins.runtime.schema import Plain, Schema, Sides, Stateful, array, flag, maybe, real
 from fide_plugins.search.mixed import Axes
-from fide_plugins.search.moves import Known, Move, Start
+from fide_plugins.search.moves import AFTER_DESCENT, Known, Move, Start
 from fide_plugins.search.scene import Exchangeability
 from fide_plugins.types import Float64, Indices, Posterior
 
@@ -101,7 +101,9 @@ class Hypotheses(Move, Stateful):
     sets: whether they are sets of exchangeable blocks.
     place: points (n, d) as they are rendered: integers and choices in their cells.
     narrow: whether those that wait are where descents ended.
-    floor: loss that no candidate removes, as far as is known; set before each decision.
+    floor: loss that no candidate removes, as far as is known; covered: whether renders have a
+        coverage: then their losses say enough of each parameter, and nothing is completed.  Both
+        are set before each decision.
     typical: median loss of the draws that were rendered; None where it is not known.
 
     Of a photograph, a second generation completes the best of those rendered: what hypotheses that
@@ -132,7 +134,7 @@ class Hypotheses(Move, Stateful):
         place: Callable[[Float64], Float64] = np.copy,
     ) -> None:
         self._sets, self._place, self._dim = sets, place, dim
-        self.floor = 0.0
+        self.floor, self.covered = 0.0, False
         self.begin(posterior)
 
     def begin(self, posterior: Posterior | None) -> None:
@@ -197,7 +199,9 @@ class Hypotheses(Move, Stateful):
         """Whether a generation comes that completes the best of those found, as loss and x (d,)."""
         losses, x = (np.array(one) for one in zip(*found, strict=True))
         order = np.argsort(losses, kind="stable")
-        if self._completed or self._sets or not open_parameters(x[order[0]], self.x, known.axes):
+        if self.covered or self._completed or self._sets:
+            return False
+        if not open_parameters(x[order[0]], self.x, known.axes):
             return False
         self._completed, self._before, self._losses_before = True, x[order], losses[order]
         return True
@@ -256,7 +260,8 @@ class Hypotheses(Move, Stateful):
         """Begin at x (d,), as wide as the hypotheses around it."""
         std = self.spread(x, known)
         if self.narrow:
-            std = np.where(std > _OPEN, std, np.minimum(std, _AFTER_DESCENT))
+            narrow = np.minimum(std, AFTER_DESCENT if self.covered else _AFTER_DESCENT)
+            std = narrow if self.covered else np.where(std > _OPEN, std, narrow)
         return Start(x, std, strict_above=self.strict_above)
 
     def spread(self, x: Float64, known: Known) -> Float64:

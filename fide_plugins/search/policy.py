@@ -270,10 +270,10 @@ class MovePolicy:
         guided: whether images say where to go on.
         """
         self.guided, known = guided, self.known
-        if self.hypotheses is not None and (
-            self.hypotheses.waiting or (self.descends and self.hypotheses.available and guided)
-        ):
-            self._after_hypothesis(self.hypotheses, found, evaluations)
+        hypotheses = self.hypotheses
+        opens = hypotheses is not None and hypotheses.available and not hypotheses.covered
+        if hypotheses is not None and (hypotheses.waiting or (self.descends and opens and guided)):
+            self._after_hypothesis(hypotheses, found, evaluations)
         elif found is None or not guided:
             known.incumbent, self.guided = None, False
             self.loss_only_searches += 1
@@ -433,7 +433,8 @@ class MovePolicy:
             if hypotheses.complete(found, self.known):
                 self.stage, self.move = Stage.RESTART, hypotheses.name
                 return
-            spread = hypotheses.spread(min(found, key=lambda one: one[0])[1], self.known)
+            if not hypotheses.covered:
+                spread = hypotheses.spread(min(found, key=lambda one: one[0])[1], self.known)
         self._need_descents().begin(found, spread)
         self.stage = Stage.DESCENT
 
