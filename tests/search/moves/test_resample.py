@@ -116,6 +116,9 @@ def test_the_best_hypothesis_is_completed_once() -> None:
     known, there = scene(), hypotheses()
     found = [(1.0, there[0]), (0.5, HERE), (2.0, there[1])]
     learned = Hypotheses(Posterior(there), 4)
+    learned.covered = True  # losses say enough
+    assert not learned.complete(found, known)
+    learned.covered = False
     assert learned.complete(found, known)
     x = learned.draw(known, 20, np.random.default_rng(0))
     np.testing.assert_array_equal(x[:, KNOWN], np.tile(HERE[KNOWN], (len(x), 1)))
