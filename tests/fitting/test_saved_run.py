@@ -55,7 +55,7 @@ def test_a_larger_budget_goes_on_where_the_smaller_one_stopped(
         assert (tmp_path / name).stat().st_size > 0
     arguments: dict[str, Any] = {"workers": 0, "out": tmp_path, "resume": True}
     more = fit(disk(), target(), SPACE, budget=60, **arguments)  # the seed is the run's
-    assert same(more, whole) and more.seconds > part.seconds
+    assert same(more, whole) and more.seconds > part.seconds / 2  # what is saved last is not in it
     rows = (tmp_path / "curve.csv").read_text().splitlines()[1:]
     assert [float(row.split(",")[2]) for row in rows] == whole.curve[:, 1].tolist()
     again = fit(disk(), target(), SPACE, budget=60, **arguments)
