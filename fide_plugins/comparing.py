@@ -63,7 +63,7 @@ def compare_again(optimizer: FIDE, std: Float64 | None = None) -> None:
         first = np.broadcast_to(optimizer.sigma0, optimizer.dim)
         std = np.clip(state.search.std, _NARROWEST * first, first)
     before, given = kept.losses.copy(), kept.losses[kept.given]
-    compared = evaluator.evaluate(len(kept), kept.images)
+    compared = evaluator.evaluate(len(kept), kept.images, note=state.needs_floor)
     compared.losses[kept.given] = given
     order = np.argsort(compared.losses, kind="stable")
     results = list(compared.of(kept.x))

@@ -308,12 +308,14 @@ class Evaluator:
         *,
         version: str | None = None,
         encode: bool = True,
+        note: bool = False,
     ) -> Evaluation:
         """Losses and tokens of n candidates with images (n, H, W, 3).
 
         losses: (n,), in place of the loss of the images.
         features: (n, T, C), in place of the tokens of the images; version: of their encoder.
         encode: whether tokens are needed at all.
+        note: whether the comparison notes what no candidate removes, see `Comparison.floor`.
 
         Raises LossError or FeaturesError.
         """
@@ -335,7 +337,7 @@ class Evaluator:
             taken = as_features(features, shape, self.encoder, version=version)
             tokens = taken if encode else None
         assert values is not None
-        if shown is not None and self.comparison is not None:
+        if note and shown is not None and self.comparison is not None:
             self.comparison.note(shown)
         return Evaluation(values, batch, tokens, told)
 

@@ -447,7 +447,10 @@ class FIDE(Saved):
         batch = evaluator.as_batch(n, images, losses, features, clipping)
         with timed(self.state.times, "encode"):  # lines 7 and 9
             encode = self.state.proposer is not None and (given or not self.state.scales.blur)
-            results = evaluator.evaluate(n, batch, losses, features, version=version, encode=encode)
+            results = evaluator.evaluate(
+                n, batch, losses, features,
+                version=version, encode=encode, note=self.state.needs_floor,
+            )  # fmt: skip
         self.state.clipping = clipping
         if given and np.isfinite(results.losses).any():  # of a user: not at any blur
             self.state.stay_sharp()
@@ -492,9 +495,7 @@ class FIDE(Saved):
         state = self.state
         members, losses = state.population.close_generation()
         samples, target = state.take_samples(), self.evaluator.tokens_at(state.scales.blur)
-        if state.moves.hypotheses is not None:
-            state.moves.hypotheses.floor = self._floor
-            state.moves.hypotheses.covered = state.kept is not None and state.kept.covered
+        state.tell_hypotheses(self.evaluator.comparison)
         if state.moves.stage is not Stage.SEARCH:
             state.finish_stage(members, losses, samples, target)
             return
@@ -513,22 +514,9 @@ class FIDE(Saved):
         if state.begin_coarse(self.evaluator.target):
             return
         if over is None:
-            over = self.options.restarts != "none" and state.is_over(
-                guided=guided, floor=self._floor
-            )
+            over = self.options.restarts != "none" and state.is_over(guided=guided)
         if over:
             state.finish_search(guided=self.options.restarts == "moves" and guided)
-
-    @property
-    def _floor(self) -> float:
-        """Loss of a photograph that no candidate removes, by a model's hypotheses; else 0.
-
-        What renders do not cover is free: there none is.
-        """
-        comparison, kept = self.evaluator.comparison, self.state.kept
-        if comparison is None or self.state.moves.hypotheses is None:
-            return 0.0
-        return 0.0 if kept is not None and kept.covered else comparison.floor
 
     def _train(self, samples: list[TrainingSample], target: Tensor) -> None:
         """Line 8: the proposer learns from what was evaluated since the last time."""

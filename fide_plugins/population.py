@@ -318,6 +318,11 @@ class Population:
         self._add_pending(Candidate(self.drawn, x, z, role, proposed, off_distribution))
         self.drawn += 1
 
+    def new_index(self) -> int:
+        """Number of a point that is told and was not asked."""
+        self.drawn += 1
+        return self.drawn - 1
+
     # -- pending -----------------------------------------------------------------------------------
 
     @property

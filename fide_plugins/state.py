@@ -47,6 +47,7 @@ from fide_plugins.validation.values import Clipping
 from fide_plugins.views.findings import PixelNoise
 
 if TYPE_CHECKING:
+    from fide_plugins.comparison.comparison import Comparison
     from fide_plugins.comparison.kept import Kept
     from fide_plugins.search.recall import Recalled
 
@@ -155,7 +156,7 @@ class State:
         loss, told = (loss, told) if finite else (np.inf, np.inf)
         candidate = self.population.record(x, told)
         if candidate is None:
-            number, self.population.drawn = self.population.drawn, self.population.drawn + 1
+            number = self.population.new_index()
             exact = x = self.search.clipped(x[None])[0]  # what is rendered at x
         else:
             number, exact = candidate.index, candidate.x  # x may have lost digits on its way
@@ -220,16 +221,31 @@ class State:
         if self.steps is not None:
             self.steps.due = True
 
-    def is_over(self, *, guided: bool, floor: float = 0.0) -> bool:
-        """Whether the present search is over; guided: whether images guide it.
+    @property
+    def needs_floor(self) -> bool:
+        """Whether anybody asks which loss no candidate removes: hypotheses of a photograph.
 
-        floor: loss that no candidate removes.
+        Not where renders have a coverage: what they do not cover is free.
+        """
+        uncovered = self.kept is not None and not self.kept.covered
+        return uncovered and self.moves.hypotheses is not None
+
+    def tell_hypotheses(self, comparison: Comparison | None) -> None:
+        """Tell those of a model what renders of a photograph have shown, before a decision."""
+        hypotheses = self.moves.hypotheses
+        if hypotheses is not None and comparison is not None and self.kept is not None:
+            hypotheses.covered = self.kept.covered
+            hypotheses.floor = comparison.floor if self.needs_floor else 0.0
+
+    def is_over(self, *, guided: bool) -> bool:
+        """Whether the present search is over; guided: whether images guide it.
 
         A coarse one is, too, where it is as narrow as its blur.
         """
-        search, scales = self.search, self.scales
+        search, scales, hypotheses = self.search, self.scales, self.moves.hypotheses
         guided = guided or scales.asked or scales.blur > 0
-        std, floor = search.distribution.std, 0.0 if scales.blur else floor
+        floor = 0.0 if scales.blur or hypotheses is None else hypotheses.floor
+        std = search.distribution.std
         if search.termination.is_over(std, guided=guided, floor=floor):
             return True
         return bool(scales.blur and (search.std < REACH * scales.left[0]).all())

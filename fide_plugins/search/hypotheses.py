@@ -153,6 +153,11 @@ class Hypotheses(Move, Stateful):
         return len(self.x) > 0
 
     @property
+    def may_complete(self) -> bool:
+        """Whether what they leave open is drawn again."""
+        return self.available and not self.covered
+
+    @property
     def posterior(self) -> Posterior | None:
         """What it began with; None: there were none."""
         return Posterior(self.x, self._refined) if self.available else None
@@ -199,7 +204,7 @@ class Hypotheses(Move, Stateful):
         """Whether a generation comes that completes the best of those found, as loss and x (d,)."""
         losses, x = (np.array(one) for one in zip(*found, strict=True))
         order = np.argsort(losses, kind="stable")
-        if self.covered or self._completed or self._sets:
+        if not self.may_complete or self._completed or self._sets:
             return False
         if not open_parameters(x[order[0]], self.x, known.axes):
             return False

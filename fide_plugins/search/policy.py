@@ -271,8 +271,9 @@ class MovePolicy:
         """
         self.guided, known = guided, self.known
         hypotheses = self.hypotheses
-        opens = hypotheses is not None and hypotheses.available and not hypotheses.covered
-        if hypotheses is not None and (hypotheses.waiting or (self.descends and opens and guided)):
+        if hypotheses is not None and (
+            hypotheses.waiting or (self.descends and hypotheses.may_complete and guided)
+        ):
             self._after_hypothesis(hypotheses, found, evaluations)
         elif found is None or not guided:
             known.incumbent, self.guided = None, False
@@ -429,12 +430,11 @@ class MovePolicy:
         With a model the best is completed first.
         """
         hypotheses, spread = self.hypotheses, None
-        if hypotheses is not None and hypotheses.available:
+        if hypotheses is not None and hypotheses.may_complete:
             if hypotheses.complete(found, self.known):
                 self.stage, self.move = Stage.RESTART, hypotheses.name
                 return
-            if not hypotheses.covered:
-                spread = hypotheses.spread(min(found, key=lambda one: one[0])[1], self.known)
+            spread = hypotheses.spread(min(found, key=lambda one: one[0])[1], self.known)
         self._need_descents().begin(found, spread)
         self.stage = Stage.DESCENT
 

@@ -53,9 +53,10 @@ def evaluator(target: Image, loss: str | None = None, **options: Any) -> Evaluat
     return Evaluator(target, loss, "dense", **options)
 
 
-def losses(made: Evaluator, images: Any) -> npt.NDArray[np.float64]:
+def losses(made: Evaluator, images: Any, note: bool = False) -> npt.NDArray[np.float64]:
     n = len(images)
-    return made.evaluate(n, made.as_batch(n, images, None, None, lambda clip: None)).losses
+    batch = made.as_batch(n, images, None, None, lambda clip: None)
+    return made.evaluate(n, batch, note=note).losses
 
 
 def fitted(target: Image, renders: int, **options: Any) -> FIDE:
@@ -403,13 +404,13 @@ def test_the_floor_is_what_no_render_removes() -> None:
     target[:8, :8] = [1, 0, 1]
     made = evaluator(target, photo=True)
     assert made.comparison is not None and made.comparison.floor == 0
-    values = losses(made, [render(x) for x in ([0.9, 0.1], [0.2, 0.4], TRUE)])
+    values = losses(made, [render(x) for x in ([0.9, 0.1], [0.2, 0.4], TRUE)], note=True)
     assert made.comparison.floor == pytest.approx(values[2])
     assert made.comparison.floor < values[:2].min()
     before = made.comparison.least
     made.adjusted([target])
     with pytest.raises(LossError):
-        made.evaluate(1, target[None], ["bad"])
+        made.evaluate(1, target[None], ["bad"], note=True)
     assert made.comparison.least is before, "no candidate was told"
 
 
