@@ -10,7 +10,8 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field, replace
 from functools import partial
 from multiprocessing import current_process
-from typing import Any, TypeAlias
+from queue import SimpleQueue
+from typing import Any, ParamSpec, TypeAlias, TypeVar
 from weakref import WeakSet
 
 import numpy as np
@@ -27,6 +28,8 @@ LOOK = 0.25
 """Seconds between two looks at the clocks of renders that may take too long."""
 
 _Renderer: TypeAlias = Callable[[Any], Outcome]
+P = ParamSpec("P")
+T = TypeVar("T")
 
 
 def late(workers: Workers, tasks: Iterable[Task], timeout: float | None) -> Task | None:
@@ -58,21 +61,43 @@ _GRACE = 1.0  # seconds at the end of the process for renders that are about to 
 _THREADS: WeakSet[threading.Thread] = WeakSet()
 
 
-def _in_thread(call: Callable[[], Outcome]) -> Task:
-    """Call a function in a thread of its own, which does not keep the process alive."""
-    task: Task = Future()
-    task.set_running_or_notify_cancel()
+class DaemonThreads(Executor):
+    """Threads that do not keep the process alive, each started with a job until all are there.
 
-    def work() -> None:
-        try:
-            task.set_result(call())
-        except BaseException as error:
-            task.set_exception(error)
+    They stay, since a renderer may have made something for its thread, such as a context of OpenGL.
+    """
 
-    thread = threading.Thread(target=work, daemon=True)
-    _THREADS.add(thread)
-    thread.start()
-    return task
+    def __init__(self, number: int) -> None:
+        self._number = number
+        self._threads: list[threading.Thread] = []
+        self._jobs: SimpleQueue[tuple[Any, ...] | None] = SimpleQueue()
+
+    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+        """Call the function as soon as a thread is free."""
+        task: Future[T] = Future()
+        self._jobs.put((task, partial(fn, *args, **kwargs)))
+        if len(self._threads) < self._number:
+            thread = threading.Thread(target=_work, args=(self._jobs,), daemon=True)
+            self._threads.append(thread)
+            _THREADS.add(thread)
+            thread.start()
+        return task
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """End the threads after their jobs."""
+        for _ in self._threads:
+            self._jobs.put(None)
+
+
+def _work(jobs: SimpleQueue[tuple[Any, ...] | None]) -> None:
+    while (job := jobs.get()) is not None:
+        task, call = job
+        if task.set_running_or_notify_cancel():
+            try:
+                task.set_result(call())
+            except BaseException as error:
+                task.set_exception(error)
+        del job, task, call  # what they hold is not kept while the thread waits
 
 
 @atexit.register
@@ -90,7 +115,7 @@ class _Clock:
 
 
 class OfExecutor(Workers):
-    """Workers of an executor; None: threads of this process.
+    """Workers of an executor; None: threads of this process, which end with them.
 
     A render in a thread cannot be stopped: after its time-out it is forgotten, and its worker is
     missing until it ends.
@@ -98,8 +123,8 @@ class OfExecutor(Workers):
 
     def __init__(self, executor: Executor | None, renderer: _Renderer, number: int) -> None:
         self.number = number
-        self._executor = executor
-        self._threads = executor is None or isinstance(executor, ThreadPoolExecutor)
+        self._executor: Executor = executor or DaemonThreads(number)
+        self._threads = isinstance(self._executor, ThreadPoolExecutor | DaemonThreads)
         self._renderer = renderer if self._threads else Portable.of(renderer)
         self._clocks: dict[Task, _Clock] = {}
         self._alive = 0.0  # when a render began or ended last, as far as is known
@@ -115,7 +140,7 @@ class OfExecutor(Workers):
         """Render it as soon as a worker is free."""
         clock = _Clock()
         call = partial(_noting, clock, self._renderer) if self._threads else self._renderer
-        task = self._executor.submit(call, x) if self._executor else _in_thread(partial(call, x))
+        task: Task = self._executor.submit(call, x)
         self._clocks[task] = clock
         return task
 
@@ -152,6 +177,8 @@ class OfExecutor(Workers):
         """Cancel what has not begun; do not wait for what has."""
         for task in (*self._clocks, *self._hanging):
             task.cancel()
+        if isinstance(self._executor, DaemonThreads):
+            self._executor.shutdown()
 
 
 def _noting(clock: _Clock, render: _Renderer, x: Any) -> Outcome:

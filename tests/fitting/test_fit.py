@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -90,13 +92,23 @@ def test_several_workers_find_the_disk_too() -> None:
     assert result.params == pytest.approx(ANSWER, abs=0.1)
 
 
+def test_threads_stay_for_all_renders_of_a_fit() -> None:
+    threads: list[int] = []
+
+    def render(params: dict[str, float]) -> Any:
+        threads.append(threading.get_ident())
+        time.sleep(0.001)
+        return disk()(params)
+
+    fit(render, target(), SPACE, budget=30, executor="threads", workers=2, seed=0)
+    assert len(set(threads)) <= 2 and len(threads) >= 30
+
+
 def test_a_user_s_executor_is_used_and_left_open() -> None:
     with ThreadPoolExecutor(2, thread_name_prefix="mine") as executor:
         names: list[str] = []
 
         def render(x: Float64) -> Any:
-            import threading
-
             names.append(threading.current_thread().name)
             assert x.shape == (4,)
             return disk()(SPACE.decode(x))
