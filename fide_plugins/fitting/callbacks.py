@@ -73,7 +73,8 @@ class Callbacks:
     def __init__(self, given: object) -> None:
         self._methods: dict[str, list[Callable[[Any], object]]] = {name: [] for name in _METHODS}
         for callback in given if isinstance(given, list | tuple) else [given]:
-            found = {name: getattr(callback, name) for name in _METHODS if hasattr(callback, name)}
+            methods = {name: getattr(callback, name, None) for name in _METHODS}
+            found = {name: method for name, method in methods.items() if callable(method)}
             if not found and not callable(callback):
                 raise OptionError(
                     f"a callback must be a function or have one of {', '.join(_METHODS)}, "

@@ -26,7 +26,7 @@ from fide_plugins.fitting.fidelity import WorkersAsked
 from fide_plugins.fitting.loop import Loop
 from fide_plugins.fitting.pictures import as_compared, as_told, canonical, shown
 from fide_plugins.fitting.rendering import Failed, Outcome, Renderer, Workers
-from fide_plugins.fitting.result import Result, result_of
+from fide_plugins.fitting.result import Result, result_from
 from fide_plugins.fitting.saved_run import SavedRun, Unsaved
 from fide_plugins.fitting.schedule import Planner, Schedule
 from fide_plugins.fitting.stopping import Stopping
@@ -332,7 +332,7 @@ class Fitting:
         self._note_pending()
         searched = max(loop.search_ended - loop.search_began, 1e-9)
         record, validity = self.record if loop.whole else None, optimizer.validity
-        return result_of(
+        return result_from(
             optimizer,
             self.record,
             solutions,

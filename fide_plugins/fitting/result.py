@@ -193,7 +193,7 @@ class Result:
         return panels
 
 
-def result_of(optimizer: FIDE, record: Record, solutions: list[Solution], **known: Any) -> Result:
+def result_from(optimizer: FIDE, record: Record, solutions: list[Solution], **known: Any) -> Result:
     """Result of what an optimizer and the record of its run know; known: all else."""
     losses, adapts = np.array(record.losses, np.float64), optimizer.evaluator.comparison is not None
     compared = best_compared(optimizer) if adapts else None

@@ -16,7 +16,7 @@ import numpy as np
 from fide_plugins.errors import OptionError
 from fide_plugins.fide import FIDE
 from fide_plugins.fitting.pictures import best_compared, counting, picture, shown, side_by_side
-from fide_plugins.fitting.result import Result, opened, result_of as found_by
+from fide_plugins.fitting.result import Result, opened, result_from
 from fide_plugins.recording.directory import RunDirectory, try_each
 from fide_plugins.recording.parameters import solutions_as_data, with_std
 from fide_plugins.recording.record import Record, RunResult, Verdict, result_of
@@ -243,7 +243,7 @@ def load_run(
     best = optimizer.best
     if best is not None:
         params = best.params or params or best.x.copy()  # a task has a space that FIDE lacks
-    return found_by(
+    return result_from(
         optimizer,
         record,
         solutions,

@@ -175,8 +175,7 @@ class Schedule:
         if self.k not in self._works:
             failed = outcome if isinstance(outcome, Failed) else self._wrong(outcome)
             if failed is not None:
-                height, width = self.sizes[self.k]
-                self._refused = f"at {width} x {height} pixels: {failed.reason}"
+                self._refused = f"at {_pixels(self.sizes[self.k])} pixels: {failed.reason}"
                 self.k += 1
                 if self._rising is None:
                     self.begin()
@@ -188,10 +187,9 @@ class Schedule:
                 self.begin()
             return "tell"
         if self._refused is not None:
-            height, width = self.sizes[self.k]
             warn_user(
-                f"renders fail {self._refused}; the smallest that work have {width} x {height},"
-                " and are used"
+                f"renders fail {self._refused}; the smallest that work have "
+                f"{_pixels(self.sizes[self.k])}, and are used"
             )
             self._refused = None
         if self._rising is not None:
@@ -377,7 +375,6 @@ class Planner:
         self.lines = [first, second, f"{third} pictures of it or more"]
 
 
-def _pixels(size: Any) -> str:
-    """Width and height; of views of several sizes, of each."""
-    several = [size] if isinstance(size, tuple) else size
-    return ", ".join(f"{width} x {height}" for height, width in several)
+def _pixels(size: tuple[int, int]) -> str:
+    height, width = size
+    return f"{width} x {height}"

@@ -120,15 +120,17 @@ def _limited(pools: Iterable[_Pool]) -> tuple[tuple[_Put, int], ...]:
 
 
 def _restore() -> None:
-    for put, before in _THREAD.before:
-        put(before)
-    _THREAD.before = ()
+    _put_back(_THREAD)
     with _PROCESS.lock:
         _PROCESS.inside -= 1
         if _PROCESS.inside == 0:
-            for put, before in _PROCESS.before:
-                put(before)
-            _PROCESS.before = ()
+            _put_back(_PROCESS)
+
+
+def _put_back(state: _Thread | _Process) -> None:
+    for put, before in state.before:
+        put(before)
+    state.before = ()
 
 
 def _find(loaded: tuple[bool, ...]) -> None:
@@ -217,9 +219,7 @@ def _after_fork_in_child() -> None:
     _PROCESS.lock, _PROCESS.forked = threading.Lock(), True
     _PROCESS.inside = min(_THREAD.depth, 1)  # of threads that were inside, only this one is left
     if not _PROCESS.inside:
-        for put, before in _PROCESS.before:
-            put(before)
-        _PROCESS.before = ()
+        _put_back(_PROCESS)
 
 
 if hasattr(os, "register_at_fork"):  # not on Windows, which has no fork
