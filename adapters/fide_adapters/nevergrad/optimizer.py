@@ -45,9 +45,13 @@ class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
     """FIDE for one parametrization; made by `ParametrizedFIDE`."""
 
     def __init__(
-        self, parametrization: Any, budget: int | None = None, num_workers: int = 1, *,
+        self,
+        parametrization: Any,
+        budget: int | None = None,
+        num_workers: int = 1,
+        *,
         config: ParametrizedFIDE,
-    ) -> None:  # fmt: skip
+    ) -> None:
         super().__init__(parametrization, budget=budget, num_workers=num_workers)
         self._search = Search(config.config(), self.num_workers)
         self._cube: Cube | None = None  # made when the search begins

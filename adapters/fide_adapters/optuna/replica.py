@@ -131,10 +131,17 @@ class Replica:
         return bool(np.abs(self._snap(self.candidate(slot).x) - x).max() <= _ROUNDING)
 
     def tell(
-        self, x: Float64, loss: float, tokens: Tensor | None = None, *,
-        generation: int | None = None, slot: int = 0, proposed: bool = False,
-        over: bool | None = None, guided: bool | None = None,
-    ) -> Role:  # fmt: skip
+        self,
+        x: Float64,
+        loss: float,
+        tokens: Tensor | None = None,
+        *,
+        generation: int | None = None,
+        slot: int = 0,
+        proposed: bool = False,
+        over: bool | None = None,
+        guided: bool | None = None,
+    ) -> Role:
         """Next entry of the log; says what it counts for.
 
         x: (d,) in [0, 1], what was rendered.  tokens: (T, C) of its image, if that is known.

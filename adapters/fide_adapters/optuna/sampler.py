@@ -170,9 +170,12 @@ class FIDESampler(BaseSampler):
             return self._state_of(study).ask(study, trial, search_space)
 
     def sample_independent(
-        self, study: Study, trial: FrozenTrial, param_name: str,
+        self,
+        study: Study,
+        trial: FrozenTrial,
+        param_name: str,
         param_distribution: BaseDistribution,
-    ) -> Any:  # fmt: skip
+    ) -> Any:
         """Return a value of the independent sampler, or of the first candidate in trial 0."""
         _refuse_several_objectives(study)
         own = isinstance(self._independent_sampler, _NumberedSampler) and not self._reseeded
@@ -288,9 +291,12 @@ class _NumberedSampler(RandomSampler):
         self._entropy = np.random.SeedSequence().entropy
 
     def sample_independent(
-        self, study: Study, trial: FrozenTrial, param_name: str,
+        self,
+        study: Study,
+        trial: FrozenTrial,
+        param_name: str,
         param_distribution: BaseDistribution,
-    ) -> Any:  # fmt: skip
+    ) -> Any:
         """Uniform value, equal for equal trial number and name."""
         key = (trial.number, zlib.crc32(param_name.encode()))
         seeds = np.random.SeedSequence(self._entropy, spawn_key=key).generate_state(1)

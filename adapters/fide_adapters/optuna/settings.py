@@ -30,9 +30,15 @@ class Settings:
     """The settings of a sampler; target None: nothing is proposed; seed None: that of the study."""
 
     def __init__(
-        self, target: Views | None, loss: str | Callable[..., object] | None, preset: str,
-        sigma0: float, device: str, options: Mapping[str, Any], seed: int | None,
-    ) -> None:  # fmt: skip
+        self,
+        target: Views | None,
+        loss: str | Callable[..., object] | None,
+        preset: str,
+        sigma0: float,
+        device: str,
+        options: Mapping[str, Any],
+        seed: int | None,
+    ) -> None:
         self._made = make_options(preset, options)
         standard_deviations(sigma0, 1)
         if target is None and loss is not None:

@@ -32,9 +32,12 @@ _MOST = 12  # parameters that are printed where a run is stopped
 
 
 def execute_run(
-    args: argparse.Namespace, command: list[str], prepare: Callable[[], Any], what: str,
+    args: argparse.Namespace,
+    command: list[str],
+    prepare: Callable[[], Any],
+    what: str,
     more: Callable[[Any, Any], dict[str, Any]] = lambda run, result: {},
-) -> int:  # fmt: skip
+) -> int:
     """Prepare a `Run`, execute it, and print the result; returns the exit code.
 
     more: further totals of a run and its result, for --json.
@@ -77,9 +80,11 @@ def execute_run(
 
 
 def execute_comparisons(
-    args: argparse.Namespace, command: list[str], prepare: Callable[[], Any],
+    args: argparse.Namespace,
+    command: list[str],
+    prepare: Callable[[], Any],
     execute: Callable[[Any], int],
-) -> int:  # fmt: skip
+) -> int:
     """Prepare comparisons, and execute them; returns the exit code.
 
     execute: executes what `prepare` gave, and returns the exit code.
@@ -116,9 +121,12 @@ def execute_all(comparison: Any) -> int:
 
 
 def _execute(
-    command: list[str], prepare: Callable[[], Any], execute: Callable[[Any], int],
-    stopped: Callable[[Any], tuple[str, str]], failed: str,
-) -> int:  # fmt: skip
+    command: list[str],
+    prepare: Callable[[], Any],
+    execute: Callable[[Any], int],
+    stopped: Callable[[Any], tuple[str, str]],
+    failed: str,
+) -> int:
     """Prepare and execute; whatever goes wrong becomes messages and an exit code."""
     from fide_lab.run import Interrupted
 

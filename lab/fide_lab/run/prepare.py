@@ -137,9 +137,12 @@ def _check_optimizer(optimizer: Named, options: Mapping[str, Any], saved: bool) 
 
 
 def _started(
-    directory: RunDirectory, record: Record, searcher: Optimizer, budget: int,
+    directory: RunDirectory,
+    record: Record,
+    searcher: Optimizer,
+    budget: int,
     kept: KeptTarget | None,
-) -> tuple[Record, Optimizer]:  # fmt: skip
+) -> tuple[Record, Optimizer]:
     """Record and optimizer that the directory holds, or those given; the run is written down."""
     name, device = directory.settings["optimizer"], directory.settings["options"].get("device")
     with ExitStack() as refused:
@@ -185,9 +188,16 @@ def make_task(
 
 
 def settings_of(
-    task: Task, target: Float32, optimizer: Named, loss: str, budget: int, seed: int,
-    task_options: Mapping[str, Any], options: Mapping[str, Any], keep: Keep,
-) -> dict[str, Any]:  # fmt: skip
+    task: Task,
+    target: Float32,
+    optimizer: Named,
+    loss: str,
+    budget: int,
+    seed: int,
+    task_options: Mapping[str, Any],
+    options: Mapping[str, Any],
+    keep: Keep,
+) -> dict[str, Any]:
     """What defines a run, as its directory records it: other settings, another run."""
     info = TaskInfo.of(task)
     settings = {
@@ -208,9 +218,14 @@ def settings_of(
 
 
 def make_optimizer(
-    optimizer: Named, task: Task, target: Float32, loss: str | Callable[..., object], seed: int,
-    budget: int, options: dict[str, Any],
-) -> Optimizer:  # fmt: skip
+    optimizer: Named,
+    task: Task,
+    target: Float32,
+    loss: str | Callable[..., object],
+    seed: int,
+    budget: int,
+    options: dict[str, Any],
+) -> Optimizer:
     """The optimizer for a task; it is told the budget if that is one of its options."""
     options = {"loss": loss, "seed": seed, **options}
     if "budget" in optimizers.options(optimizer):
