@@ -42,6 +42,7 @@ from fide_plugins.search.moves import (
     Known,
     Move,
     RandomRestart,
+    Rearrange,
     Refine,
     RelocateGroup,
     RelocateSegment,
@@ -122,7 +123,7 @@ _SCHEMA: dict[str, Schema] = {
     "incumbent": maybe(form(TrainingSample)),
 }
 _MOVES = (
-    Split, HalfTurn, RelocateGroup, RelocateSegment, Coarsen, Refine, RandomRestart
+    Split, HalfTurn, RelocateGroup, RelocateSegment, Rearrange, Coarsen, Refine, RandomRestart
 )  # fmt: skip
 _PARTS = ("optima", "exchangeability", "removal", "sensitivity", "values")  # of what is known
 _COST = 12.0  # generations that a move takes, roughly
