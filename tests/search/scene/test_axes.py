@@ -84,7 +84,7 @@ def test_periodic_parameters_are_near_across_the_end(known: Known) -> None:
 def test_half_a_turn_of_a_periodic_parameter_is_exact(
     known: Known, rng: np.random.Generator
 ) -> None:
-    known.values = Values(known.axes, SPACE.layout)
+    known.values = Values(known.axes)
     X = HalfTurn().draw(known, 200, rng)
     np.testing.assert_array_equal(
         X[:, FLOOR + LAMP + [6]], np.tile(HERE[FLOOR + LAMP + [6]], (200, 1))
