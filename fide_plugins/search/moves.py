@@ -78,9 +78,9 @@ class Known:
     target: Tensor
     channels: int | None
     exchangeability: Exchangeability
-    removal: Removal
     sensitivity: Sensitivity
     axes: Axes
+    removal: Removal = field(default_factory=Removal)
     place: Callable[[Float64], Float64] = np.copy
     incumbent: TrainingSample | None = None
     optima: Optima = field(default_factory=Optima)

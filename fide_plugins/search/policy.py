@@ -146,6 +146,10 @@ class MovePolicy:
     Raises OptionError for groups that are declared wrongly.
     """
 
+    hypotheses: Hypotheses | None = None
+    descents: Descents | None = None
+    noise: float | None = None
+
     def __init__(
         self,
         x0: Float64,
@@ -168,7 +172,6 @@ class MovePolicy:
             target=target,
             channels=channels,
             exchangeability=Exchangeability(dim, channels, groups, axes),
-            removal=Removal(),
             sensitivity=Sensitivity(dim, channels, axes),
             axes=axes,
             place=axes.clipped,
@@ -189,15 +192,9 @@ class MovePolicy:
         self._choice = Choice(priors | _RESAMPLE, _COST * popsize)
         self._rng = np.random.default_rng((seed, 1))
         self.start = Start(x0, self.known.sigma0)
-        self.hypotheses: Hypotheses | None = None
-        self.descents: Descents | None = None
-        self.descends = False
-        self.noise: float | None = None
         self.loss_only_searches, self.guided = 0, True
         self._begin(posterior)
-        if descends:
-            self._need_descents()
-            self.descends = self.descents is not None and self.descents.possible
+        self.descends = descends and self._need_descents().possible
 
     def _begin(self, posterior: Posterior | None) -> None:
         """Begin with hypotheses of the target; None: with a search."""

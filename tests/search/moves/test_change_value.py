@@ -15,7 +15,7 @@ from fide_plugins.population import TrainingSample
 from fide_plugins.search.mixed import Axes, Values
 from fide_plugins.search.moves import ChangeValue, Known
 from fide_plugins.search.one_search import Search, Setting
-from fide_plugins.search.scene import Exchangeability, Removal, Sensitivity
+from fide_plugins.search.scene import Exchangeability, Sensitivity
 from fide_plugins.types import Float64
 
 SPACE = Space(
@@ -40,7 +40,6 @@ def known() -> Known:
         target=torch.zeros(1, 3),
         channels=3,
         exchangeability=Exchangeability(SPACE.dim, 3, [], AXES),
-        removal=Removal(),
         sensitivity=Sensitivity(SPACE.dim, 3, AXES),
         axes=AXES,
         place=SPACE.snap,

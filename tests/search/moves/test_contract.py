@@ -23,7 +23,7 @@ from fide_plugins.search.moves import (
     RelocateSegment,
     Split,
 )
-from fide_plugins.search.scene import Exchangeability, Removal, Sensitivity
+from fide_plugins.search.scene import Exchangeability, Sensitivity
 from fide_plugins.space import Choice, Float, Int, Space
 from fide_plugins.types import Posterior
 
@@ -64,7 +64,6 @@ def scene(*, blocks: bool) -> Known:
         target=target,
         channels=3,
         exchangeability=Exchangeability(dim, 3, groups, axes),
-        removal=Removal(),
         sensitivity=Sensitivity(dim, 3, axes),
         axes=axes,
         values=Values(axes),

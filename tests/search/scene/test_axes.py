@@ -13,7 +13,7 @@ from fide_plugins.search.moves import (
     HalfTurn,
     Known,
 )
-from fide_plugins.search.scene import Exchangeability, Removal, Sensitivity
+from fide_plugins.search.scene import Exchangeability, Sensitivity
 from fide_plugins.types import Float64
 
 SPACE = Space(
@@ -44,7 +44,6 @@ def known() -> Known:
         target=rendered(THERE).tokens,
         channels=3,
         exchangeability=Exchangeability(DIM, 3, [], axes),
-        removal=Removal(),
         sensitivity=Sensitivity(DIM, 3, axes),
         axes=axes,
         place=SPACE.snap,
