@@ -7,7 +7,7 @@ import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +18,9 @@ from fide_plugins.fide import FIDE
 from fide_plugins.fitting.pictures import best_compared, counting, picture, shown, side_by_side
 from fide_plugins.fitting.result import Result, opened, result_from
 from fide_plugins.recording.directory import RunDirectory, try_each
+from fide_plugins.recording.figures import panels_of
 from fide_plugins.recording.parameters import solutions_as_data, with_std
-from fide_plugins.recording.record import Record, RunResult, Verdict, result_of
+from fide_plugins.recording.record import Record, totals_of
 from fide_plugins.recording.storage import RunDirectoryError, impossible, read_record, read_run
 from fide_plugins.runtime.registry import own_name
 from fide_plugins.types import Float32, Solution
@@ -37,10 +38,7 @@ class SavedRun:
         self._budget: int | None = plan["limits"].get("budget")
 
     def begin(self, optimizer: FIDE) -> Record | None:
-        """Restore the optimizer, and write what is known before the first render.
-
-        Returns the record that was saved; None without one.
-        """
+        """Restore the optimizer, and write what is known; the record that was saved, if any."""
         with ExitStack() as refused:
             refused.callback(self.close)
             restored = self._directory.restore(optimizer.continue_from)
@@ -70,17 +68,18 @@ class SavedRun:
         plan: Sequence[str] = (),
     ) -> None:
         """Write totals and the summary; stopped, solutions, plan: see `Result`."""
-        image, verdict = None if record.image is None else best_compared(optimizer), Verdict()
-        if image is not None:  # nobody knows a better one
-            verdict = Verdict(image, record.best_loss, optimizer.views.squared_error(image))
-        result = result_of(
+        image = None if record.image is None else best_compared(optimizer)
+        known = totals_of(
             self._directory.settings,
             record,
-            verdict,
             budget=self._budget or record.evaluations,
-            status=optimizer.status,
+            mse=math.nan if image is None else optimizer.views.squared_error(image),
         )
-        more = {
+        if optimizer.space is not None and record.x_best is not None:
+            known["params"] = optimizer.space.decode(record.x_best)
+        totals = {
+            **known,
+            **optimizer.status.to_dict(),
             "failures": record.failures,
             "clipped": optimizer.clipped,
             "cost": record.cost,
@@ -88,21 +87,21 @@ class SavedRun:
             "solutions": solutions_as_data(solutions),
         }
         writes = [
-            lambda: self._write_summary(result, optimizer),
-            lambda: self._directory.write_run(state, result, stopped, more),
+            lambda: self._write_summary(record, optimizer, image),
+            lambda: self._directory.write_run(state, totals, stopped),
         ]
         if not record.evaluations:
             del writes[0]
         try_each(*(writes if state == "finished" else reversed(writes)))  # a kill may come soon
 
-    def _write_summary(self, result: RunResult, optimizer: FIDE) -> None:
-        first, best = (
-            None if image is None else picture(optimizer, image)
-            for image in (result.first_image, result.reference)
+    def _write_summary(self, record: Record, optimizer: FIDE, image: Float32 | None) -> None:
+        target, first, best = (
+            None if one is None else picture(optimizer, one)
+            for one in (optimizer.evaluator.full.target, record.first_image, image)
         )
-        shown = replace(result, first_image=first, image=best, reference=best)
-        target = picture(optimizer, optimizer.evaluator.full.target)
-        self._directory.write_summary(shown, target, counting(optimizer.weights, optimizer.target))
+        assert target is not None
+        counts = counting(optimizer.weights, optimizer.target)
+        self._directory.write_summary(record, panels_of(target, first, best, counts))
 
 
 def _best_pictures(record: Record, optimizer: FIDE) -> tuple[Float32 | None, Float32 | None]:

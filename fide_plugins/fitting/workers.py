@@ -204,10 +204,7 @@ _DEFAULT_MOST = 8  # workers by default: more need more renders for the same los
 
 
 def default_number(executor: object = None) -> int:
-    """How many renders run at a time where the user does not say: one a usable core, at most 8.
-
-    An executor renders elsewhere, and threads are for renders that wait: 8 of these.
-    """
+    """Renders at a time by default: one a usable core, at most 8; elsewhere, or in threads, 8."""
     return min(cores(), _DEFAULT_MOST) if executor in (None, "processes") else _DEFAULT_MOST
 
 
@@ -255,10 +252,7 @@ def workers_for(
 
 
 def gathered(pool: Workers, X: Float64, limit: float | None) -> Iterator[Outcome]:
-    """Outcome of each point of X (n, dim), in order; `pool.number` renders at a time.
-
-    limit: seconds that a render may take, the start of its worker not counted; None: any time.
-    """
+    """Outcome of each point of X (n, dim), in order; limit: seconds of a render, None: any."""
     for first in range(0, len(X), pool.number):
         tasks = [pool.submit(x) for x in X[first : first + pool.number]]
         for task in tasks:

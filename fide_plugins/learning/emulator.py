@@ -97,10 +97,7 @@ class Emulator(Trainable):
         self.variance.copy_(variance)
 
     def errors(self, images: Tensor, u: Tensor, places: Tensor) -> Tensor:
-        """Mean squared errors (B,) of the colors at places (P,).
-
-        images: (B, 3, H, W), or (1, 3, H, W) that each of the points u (B, d) should give.
-        """
+        """Mean squared errors (B,) of the colors at places (P,); images: (B or 1, 3, H, W)."""
         errors: Tensor = (self(u, places) - _colors(images, places)).square().mean(dim=(1, 2))
         return errors
 

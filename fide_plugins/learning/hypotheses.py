@@ -22,10 +22,7 @@ _DESCENTS = 16  # from hypotheses that were drawn, and as many from anywhere
 
 
 def as_model(learned: Any) -> Model | None:
-    """Return the model that `learned` is, or that its file has; None for None.
-
-    Raises OSError or CheckpointError for a file that is no model, OptionError for anything else.
-    """
+    """The model that `learned` is, or that its file has; OSError, CheckpointError, OptionError."""
     if learned is None:
         return None
     from fide_plugins.learning.model import Model  # takes a second: PyTorch's networks

@@ -168,10 +168,7 @@ class Components:
 
     @classmethod
     def of(cls, raw: Tensor, periodic: Tensor, scale: float = 1.0) -> Components:
-        """Components of a network's numbers (..., d, K, 4), standard deviations times `scale`.
-
-        periodic: (d,) bool.
-        """
+        """Components of a network's numbers (..., d, K, 4), deviations times `scale`."""
         weight, first, second, spread = raw.unbind(-1)
         wraps = periodic[:, None]
         angle = torch.atan2(second, first + 1e-6) / (2 * math.pi)
@@ -292,10 +289,7 @@ class Autoregressive(nn.Module):
         return self._components(raw, self.periodic, scale)
 
     def _of_one(self, i: int, context: Tensor, waves: Tensor, scale: float) -> Components:
-        """Components (n, 1, K) of u_i alone, as `_of` has them but for rounding.
-
-        context: (d, hidden), of one picture.  waves: (n, i * 9), of the parameters before i.
-        """
+        """Components (n, 1, K) of u_i; context: (d, hidden); waves: (n, i * 9)."""
         h = F.gelu(context[i] + waves @ self._earlier()[:i, :, i].flatten(0, 1))
         h = F.gelu(self.second_bias[i] + h @ self.second[i]) + h
         raw = self.out_bias[i] + h @ self.out[i]

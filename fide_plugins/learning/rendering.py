@@ -32,10 +32,7 @@ def all_equal(name: str, renders: int) -> RenderError:
 
 
 def too_few(there: int, least: int, failed: int, renders: int) -> FideError:
-    """Error that names what is missing: renders that succeed, renders at all, or time for them.
-
-    there: renders, of which `least` are needed.  failed: other ones.  renders: asked for.
-    """
+    """Error that names what is missing: renders that succeed, renders at all, or time."""
     few = f"{there} renders are too few to learn from (at least {least})"
     if failed == 0:
         return OptionError(f"{few}; allow more time")

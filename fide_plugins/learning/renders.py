@@ -339,10 +339,7 @@ class RenderStore:
         return {i: number for i, number in found.items() if number}
 
     def read(self, renders: int) -> tuple[Float64, Pixels]:
-        """Parameters (n, d) and images (n, H, W, 3) of the shards that are there.
-
-        Raises CheckpointError for a shard that is damaged.
-        """
+        """Parameters (n, d) and images (n, H, W, 3) that are there; CheckpointError for damage."""
         shards = self._present(renders)
         x = np.empty((SHARD * len(shards), self.settings["dim"]))
         images = np.empty((len(x), *self.shape), np.uint8)

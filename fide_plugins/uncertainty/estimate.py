@@ -103,10 +103,7 @@ def surroundings(
     discrete: Mask | None,
     blocks: Indices | None,
 ) -> Surroundings | None:
-    """Of a solution x (d,); None if too few samples are its own, or none of them lies there.
-
-    The arguments are those of `LocalEstimate`.
-    """
+    """Of a solution x (d,), see `LocalEstimate`; None if too few samples are its own."""
     free = np.ones(len(x), bool) if discrete is None else ~discrete
     if not free.any() or len(samples) < _least(free):
         return None
@@ -212,10 +209,7 @@ def _as_good(model: FitToTarget) -> float:
 
 
 def _without_effect(around: Surroundings, one: int) -> bool:
-    """Whether nearest neighbors in all other numbers have the better image more often than in all.
-
-    A search leaves a number without effect where it is.
-    """
+    """Whether neighbors in all other numbers are the better ones: the search leaves it as it is."""
     rows = around.own[:: -(-len(around.own) // _MOST)]
     u, e = around.steps(rows), around.features[rows]
     others = np.arange(u.shape[1]) != one

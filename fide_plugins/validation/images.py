@@ -73,7 +73,10 @@ def as_pixels(image: object, what: str, raw: bool = False, size: Size | None = N
     """
     array, is_tensor = _to_array(image, what, raw)
     if array.ndim not in (2, 3):
-        raise _other_axes(array, what)
+        raise ImageError(
+            f"{what} must have axes (H, W) or (H, W, C), got {describe(array)}; take an image out "
+            f"of its batch, image[0]; {_VIEWS}"
+        )
     pixels: Pixels = channels_last(array, 0, is_tensor, size, what)
     return pixels
 
@@ -221,16 +224,6 @@ def _to_array(
             if is_path(image)
             else from_pil(image, what, raw=raw)
         )
-    if np.ma.is_masked(image):
-        raise ImageError(
-            f"{what} is a masked array, and its mask would be lost; give image.filled(value), and "
-            "say by mask= or weights= which pixels count"
-        )
-    if isinstance(image, list | tuple) and any(getattr(one, "ndim", 0) > 2 for one in image):
-        raise ImageError(
-            f"{what} must be one image, not a list of {len(image)}; give one of them, or for "
-            "several views a target for each"
-        )
     try:
         array = np.asarray(image)  # also of rows
     except (TypeError, ValueError, RuntimeError) as e:
@@ -259,14 +252,6 @@ def _canonical(
         else:
             out[...] = unit
     return out
-
-
-def _other_axes(pixels: Any, what: str) -> ImageError:
-    """Error for axes that are not those of one image."""
-    remedy = f"; {_VIEWS}" if pixels.ndim == 4 else ""
-    if pixels.ndim == 4 and len(pixels) == 1:
-        remedy = "; take it out of its batch of one, image[0]"
-    return ImageError(f"{what} must have axes (H, W) or (H, W, C), got {describe(pixels)}{remedy}")
 
 
 def check_batch_axes(pixels: Any, size: Size | None, what: str) -> None:

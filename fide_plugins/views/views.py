@@ -107,10 +107,7 @@ def read_weights(given: object, target: object, size: tuple[int, int], what: str
 
 
 def joined(a: Float32 | None, b: Float32 | None, what: str) -> Float32 | None:
-    """Product of two weights (H, W), None for ones, of which the largest becomes 1.
-
-    None if all are equal.  Raises ImageError for zeros everywhere.
-    """
+    """Product of two weights (H, W), the largest 1; None if equal.  ImageError for zeros."""
     if a is None and b is None:
         return None
     product = np.asarray((1 if a is None else a) * (1 if b is None else b))
@@ -136,11 +133,7 @@ def _hidden_by(weights: Float32) -> Mask | None:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One view.
-
-    target: (H, W, 3).
-    weights: (H, W) in [0, 1], the largest 1; None: all are.
-    """
+    """One view: target (H, W, 3), and weights (H, W) in [0, 1], None where all are 1."""
 
     target: Float32
     weights: Float32 | None = None
@@ -289,10 +282,7 @@ class Views:
         return cls(views, listed=listed, values=values)
 
     def retargeted(self, target: object) -> Views:
-        """The same views, weights and range of values, for the next picture, or list of pictures.
-
-        Raises ImageError unless it has the sizes of the first, and values in the range.
-        """
+        """The same views and weights for the next picture, or list; ImageError for other sizes."""
         listed = is_list_of_images(target)
         pictures = _opened(target, self.values is not None)
         sizes = _sizes_of([picture.shape for picture in pictures])
@@ -398,23 +388,6 @@ class Views:
             start += height * width
         return parts
 
-    def batch_of_one(self, image: object, on_clip: OnClip) -> Float32:
-        """Batch (1, H, W, 3) of one candidate, packed, of its image or list of images.
-
-        Raises ImageError.
-        """
-        if not self.listed:
-            is_array = isinstance(image, np.ndarray) and image.shape == self.target.shape
-            batch: object = image[None] if is_array else [image]  # type: ignore[index]  # saves a copy
-        elif not isinstance(image, list | tuple) or len(image) != len(self.views):
-            raise ImageError(
-                f"with {len(self.views)} targets a render is a list of {len(self.views)} images, "
-                f"one for each view, {self.sizes}; got a {type(image).__name__} of another length"
-            )
-        else:
-            batch = [[one] for one in image]
-        return self.as_batch(batch, 1, on_clip)
-
     def unpacked(self, image: Float32 | None) -> Any:
         """Image (H, W, 3) of a candidate; a list of them for a list of targets."""
         if image is None or not self.listed:
@@ -478,14 +451,3 @@ class Views:
             check(picture, array("H", "W", 3, low=0.0, high=1.0), sides, "target")
             if weight is not None:
                 check(weight, array("H", "W", low=0.0, high=1.0), sides, "weights")
-
-
-def views_of(
-    target: object, mask: object, weights: object, value_range: object = None
-) -> Views | None:
-    """Views where a target is optional; ImageError for a mask without a target."""
-    if target is None:
-        if not (mask is None and weights is None and value_range is None):
-            raise ImageError("mask, weights and value_range belong to a target: set target=, too")
-        return None
-    return Views.read(target, mask, weights, value_range)
