@@ -224,6 +224,11 @@ def _to_array(
             if is_path(image)
             else from_pil(image, what, raw=raw)
         )
+    if np.ma.is_masked(image):
+        raise ImageError(
+            f"{what} is a masked array, and its mask would be lost; give image.filled(value), and "
+            "say by mask= or weights= which pixels count"
+        )
     try:
         array = np.asarray(image)  # also of rows
     except (TypeError, ValueError, RuntimeError) as e:
