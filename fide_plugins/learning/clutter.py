@@ -67,15 +67,17 @@ class Clutter:
 
     backgrounds: pictures (H, W, 3) float32 in [0, 1]; none: renders have no coverage.
     name: what they are, for a report.
+    changes: False: nothing but the background is changed.
     """
 
     backgrounds: tuple[Float32, ...]
     name: str
+    changes: bool = True
 
     @property
     def digest(self) -> str:
         """Of all that it depends on."""
-        found = hashlib.sha256(b"True")
+        found = hashlib.sha256(str(self.changes).encode())
         for picture in self.backgrounds:
             found.update(np.ascontiguousarray(picture).tobytes())
         return found.hexdigest()[:16]
@@ -86,13 +88,14 @@ class Clutter:
         C is 3, or 4 with the coverage; colors are multiplied by it.
         generator: of the renders' device.
         """
+        images = renders
         if renders.shape[1] == 4:
             coverage = renders[:, 3:]
             images = renders[:, :3] + (1 - coverage) * self._behind(coverage, generator)
-        else:
-            images = renders.clone()
-        for change, share in _CLUTTER:
-            change_some(images, change, share, generator)
+        if self.changes:
+            images = images.clone()
+            for change, share in _CLUTTER:
+                change_some(images, change, share, generator)
         return images.clamp(0.0, 1.0)
 
     def fixed(self, renders: Pixels, rows: Indices, seed: int) -> Pixels:
@@ -114,10 +117,11 @@ class Clutter:
         crops = [_crop(self.backgrounds, (height, width), rng) for _ in range(len(coverage))]
         behind = torch.from_numpy(np.array(crops)).permute(0, 3, 1, 2).contiguous()
         behind = behind.to(coverage.device)
-        change_some(behind, in_front, 1 / 2, generator)
-        change_some(behind, in_front, 1 / 2, generator)
-        change_some(behind, _shadowed, 1 / 4, generator, coverage)
-        change_some(behind, _rimmed, 1 / 2, generator, coverage)
+        if self.changes:
+            change_some(behind, in_front, 1 / 2, generator)
+            change_some(behind, in_front, 1 / 2, generator)
+            change_some(behind, _shadowed, 1 / 4, generator, coverage)
+            change_some(behind, _rimmed, 1 / 2, generator, coverage)
         return behind
 
 
@@ -214,16 +218,15 @@ def clutter_of(backgrounds: Any, clutter: object, seed: int) -> Clutter | None:
     """
     if not (clutter is None or isinstance(clutter, bool)):
         raise OptionError(f"clutter is True, False or None, not {clutter!r}")
-    if clutter is False and backgrounds is not None:
-        raise OptionError("backgrounds are a part of clutter: leave out clutter=False")
     if backgrounds is None and not clutter:
         return None
-    check_installed("photograph")
+    changes = clutter is not False
+    check_installed("photograph" if changes else "none")
     if backgrounds is None or (isinstance(backgrounds, str) and backgrounds == GENERATED):
-        return Clutter(tuple(generated(_NUMBER, _SIDE, seed)), "generated backgrounds")
+        return Clutter(tuple(generated(_NUMBER, _SIDE, seed)), "generated backgrounds", changes)
     pictures = _pictures(backgrounds)
     what = "1 background" if len(pictures) == 1 else f"{len(pictures)} backgrounds"
-    return Clutter(tuple(pictures), what)
+    return Clutter(tuple(pictures), what, changes)
 
 
 def _pictures(backgrounds: Any) -> list[Float32]:

@@ -322,7 +322,7 @@ def learn(
     if composed is not None and not coverage:
         composed = _without_coverage(composed, backgrounds)
     renderer = replace(renderer, shape=shape, coverage=composed is not None and coverage)
-    if composed is not None:  # changes them by more
+    if composed is not None and composed.changes:  # by more
         augment = "none"
     plan = _Plan(
         renderer=renderer, shape=shape, size=small_size(shape, size),
