@@ -103,8 +103,7 @@ def own_renderer(
 ) -> tuple[Any, Any, Any] | None:
     """A user's own renderer, its space, and its time limit; None for a built-in task.
 
-    reference: ``FILE.py:NAME``, or the name of a task.  templates: a command for each view, whose
-    limit is in seconds, with a default.  raw: whether it has a range of values.
+    templates: a command for each view, whose limit is in seconds.  raw: whether it has a range.
     """
     from fide_plugins.renderers import CommandRenderer, FunctionRenderer
     from fide_plugins.renderers.command import TIMEOUT

@@ -36,9 +36,7 @@ def pictures(
 ) -> tuple[list[Any], list[Any]]:
     """Targets (H, W) or (H, W, C), the longer side at most `side`, and weights (H, W) of each.
 
-    mask, weights: a file for each target, or "alpha" for the target's own alpha channel; a single
-    one for all targets.  raw: whether numbers are taken as they are stored.
-
+    mask, weights: a file or "alpha" for each target, or for all.  raw: numbers as they are stored.
     Raises ImageError: another number of them, or another size than the target's.
     """
     if mask is None and weights is None:

@@ -87,7 +87,7 @@ class Callbacks:
         return any(self._methods.values())
 
     def call(self, name: str, argument: object) -> bool:
-        """Call that method of all; whether one stops the fit.  CallbackError if one raises."""
+        """Call method `name` of all with `argument`; whether one stops the fit.  CallbackError."""
         stops = False
         for method in self._methods[name]:
             try:

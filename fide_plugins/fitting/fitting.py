@@ -8,7 +8,7 @@ import time
 from collections.abc import Mapping
 from contextlib import closing, nullcontext, suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,7 +28,7 @@ from fide_plugins.fitting.loop import Loop
 from fide_plugins.fitting.pictures import as_compared, as_told, canonical, shown
 from fide_plugins.fitting.rendering import Failed, Outcome, Renderer, Workers
 from fide_plugins.fitting.result import Result, result_from
-from fide_plugins.fitting.saved_run import SavedRun, Unsaved
+from fide_plugins.fitting.saved_run import SavedRun, best_pictures, write_later
 from fide_plugins.fitting.schedule import Schedule, planned
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers import gathered
@@ -250,7 +250,8 @@ class Fitting:
         if self.saved is not None:
             with self._loop.checkpoints.writing():
                 self._note_pending()
-                self.saved.save(self.record, self.optimizer)
+                best = best_pictures(self.record, self.optimizer)
+                self.saved.save(self.record, self.optimizer, *best)
 
     def _note_pending(self) -> None:
         """Enter what was asked and not told in the record, so that it may be saved."""
@@ -312,7 +313,7 @@ class Fitting:
                 self.save()
             else:  # in the midst of a step of the optimizer, which cannot be saved
                 self._note_pending()
-                saved.write_tables(record, optimizer)
+                saved.write_tables(record, *best_pictures(record, optimizer))
         except Exception:
             state = "failed" if state == "finished" else state
             with suppress(Exception):
@@ -347,7 +348,7 @@ class Fitting:
             out=None if self.saved is None else self.saved.path,
             std_renders=self._std_renders,
             plan=tuple(self._lines),
-            unsaved=Unsaved(optimizer, record, self.plan, stopped, solutions),
+            unsaved=partial(write_later, optimizer, record, self.plan, stopped, solutions),
         )
 
 

@@ -211,13 +211,10 @@ def default_number(executor: object = None) -> int:
 def workers_for(
     renderer: _Renderer, number: int, executor: object, timeout: float | None
 ) -> Workers:
-    """Workers for a renderer; nothing is started yet.
+    """Workers for a renderer, of a point x (d,) or of what is submitted; nothing is started yet.
 
-    renderer: an outcome for a point x (d,), or for whatever is submitted.
-    number: of renders at a time; 0: in this process.
-    executor: None or "processes", "threads", an executor of `concurrent.futures`, or what has a
-        method `get_executor`, as Dask's Client.
-    timeout: of a render, which this process does not have.
+    number: of renders at a time; 0: in this process.  timeout: of a render.
+    executor: None or "processes", "threads", one of `concurrent.futures`, or Dask's Client.
     """
     if number == 0:
         if executor is not None:

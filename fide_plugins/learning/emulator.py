@@ -187,9 +187,7 @@ _STAGES = (_Stage(32, 128, 150, 0.2, 0.03), _Stage(8, 512, 150, 0.03, 3e-4))
 
 
 def inverted(emulator: Emulator, image: Tensor, u: Tensor, generator: torch.Generator) -> Tensor:
-    """Points (at most 8, d) of the unit cube whose emulated images are nearest to an image.
-
-    The best one is first.
+    """Points (at most 8, d) of the unit cube whose emulated images are nearest first.
 
     image: (1, 3, H, W) in [0, 1].  u: (n, d) in [0, 1], where descents begin, the best 32 of them.
     generator: of the places; same generator, same points.

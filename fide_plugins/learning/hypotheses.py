@@ -84,9 +84,7 @@ def with_model(
 ) -> dict[str, Any]:
     """Options of a search of images by `render`, with a model in place of its file.
 
-    resumed: whether the search goes on from a saved state, which has its hypotheses: the model is
-        checked, and left out; a warning where its file is gone.
-
+    resumed: whether a saved state has its hypotheses: the model is checked, and left out.
     Warns if the model is of another renderer; raises OptionError where they state different
     versions, OSError or CheckpointError for a file that is no model.
     """

@@ -56,9 +56,7 @@ class _Shards:
 
 
 def pool_for(renderer: BatchRenderer, size: tuple[int, int], workers: int) -> Workers:
-    """Where renders of this size (height, width) are made; nothing is started yet.
-
-    workers: processes; 0 and 1: this one.
+    """Where renders of this size (height, width) are made; workers: 0 and 1: this process.
 
     Raises OptionError for a renderer that cannot be sent there, and in a daemonic process.
     """
@@ -85,12 +83,9 @@ def fill(
     seconds: float | None = None,
     on_progress: Callable[[int], None] = lambda done: None,
 ) -> None:
-    """Render what is missing of `renders`.
+    """Render what is missing of `renders`; no shard is begun after so many seconds.
 
-    workers: see `pool_for`.  A render that ends its worker is one that failed.
-    seconds: no shard is begun after this time; None: no limit.
     on_progress: called with the number of renders done so far.
-
     Raises RenderError if workers die again and again, or if the first 500 renders of this call, or
     more, mostly fail or are all equal.  What was rendered before stays, but for shards that such a
     renderer has spoiled: the next call renders them again.

@@ -372,9 +372,7 @@ class RenderStore:
 
 @contextmanager
 def folder_of(out: str | os.PathLike[str] | None) -> Iterator[Path]:
-    """Folder of the renders that a model is learned from, locked: beside its file `out`.
-
-    It is a temporary one, which is removed, where nothing is kept (None).
+    """Folder of the renders that a model is learned from, locked: beside its file; None: temporary.
 
     Raises OSError where the file cannot be written, OptionError where another call has the folder.
     """

@@ -199,8 +199,6 @@ class Training:
     def run_from(self, file: Path, plan: Mapping[str, Any], on_pass: OnPass) -> None:
         """As `run`, from the checkpoint in `file` if it is of this plan; it is kept up to date.
 
-        A training that was over stays so.
-
         Raises CheckpointError for a damaged file, OSError if it cannot be written.
         """
         if file.exists():

@@ -54,8 +54,7 @@ _INTERVAL = 20  # least time between two checkpoints, in times of writing one
 class CheckpointTimer:
     """Says when the next checkpoint is due; it counts from when it is made.
 
-    every: seconds between checkpoints, at least twenty times the time to write one; 0: a checkpoint
-        is always due.
+    every: seconds, at least twenty times the time to write one; 0: one is always due.
     """
 
     def __init__(self, every: float) -> None:
@@ -99,17 +98,14 @@ def try_each(*writes: Callable[[], object]) -> None:
 
 
 class RunDirectory:
-    """Directory of one run; made and checked before anything is rendered.
-
-    It is locked until `close`, or until the process ends.  Who only reads takes no lock.
+    """Directory of one run, locked until `close`; made and checked before anything is rendered.
 
     settings: that define the run; a folder with other ones is refused, but for `may_change`.
-    resume: whether an existing run may be continued.
     limits: when the run stops, where that is no setting.
     sources: fingerprints of the user's files, see `of_files`; warns of one that is edited.
 
-    Raises RunDirectoryError (a FileExistsError), also if there are results without a `run.json`,
-    see `results_in`, or OSError if the folder cannot be written.
+    Raises RunDirectoryError (a FileExistsError), also if there are results without a `run.json`, or
+    OSError if the folder cannot be written.
     """
 
     def __init__(
@@ -149,6 +145,12 @@ class RunDirectory:
                 self._run["sources"] = versions_with(sources, before, self.path, begun=begun)
             files.remove_leftovers(self.path, mine=is_of_a_run)  # not what others write there
             self._lock = lock.pop_all()
+
+    @property
+    def budget(self) -> int | None:
+        """Renders after which it stops, where that is no setting."""
+        budget: int | None = self._run["limits"].get("budget")
+        return budget
 
     def close(self) -> None:
         """Let other processes work on the run; nothing is to be written after this."""

@@ -134,10 +134,8 @@ def surroundings(
 def most_alike(around: Surroundings, missed: float) -> Indices:
     """Rows of the own samples whose images are most like the solution's, in the order of asking.
 
-    missed: squared, by how much the solution misses the target.
-
     A search may converge farther than single precision tells.  Samples of which only the last
-    digits differ do not count where the target is missed by more, if enough others are left.
+    digits differ do not count where the target is missed (squared) by more, if others are left.
     """
     least = _DIGITS * float(np.square(around.features[around.at]).sum())
     rows = around.own[(around.distances[around.own] >= least) | (around.own == around.at)]
@@ -186,9 +184,7 @@ def limits(around: Surroundings, missed: Float64, model: FitToTarget, std: Float
     """How far (p,) the truth may be in each number that is open; infinite where nothing limits it.
 
     What the model leaves open is open only where samples speak for it: an image as good lies far
-    away in that number, or the number has no effect.  Else samples as good limit it.
-
-    missed: (n,), squared, by how much samples miss the target.  std: (p,), by the model alone.
+    away in that number, or the number has no effect.  missed: (n,), squared.  std: (p,), alone.
     """
     more = max(NO_EFFECT * model.farthest, _as_good(model))
     good = around.own[missed[around.own] <= missed[around.at] + more]

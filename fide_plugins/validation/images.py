@@ -275,7 +275,7 @@ def _miscounted(count: int, n: int | None) -> ImageError:
 
 
 def channels_last(pixels: Any, batch: int, may_be_first: bool, size: Size | None, what: str) -> Any:
-    """View of `pixels` as (..., H, W, C), after `batch` (0 or 1) leading axes; checks the size.
+    """View of `pixels` as (..., H, W, C), after `batch` (0 or 1) axes; checks the size.
 
     may_be_first: whether channels may come before H and W, as in torch tensors.
     """

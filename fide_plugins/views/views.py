@@ -58,11 +58,9 @@ def _sizes_of(shapes: Sequence[Sequence[int]]) -> str:
 
 
 def one_a_view(name: str, given: object, targets: Sequence[object]) -> list[object]:
-    """A list of masks or weights, one for each target; a single one is that of all.
+    """Masks or weights, one for each target; a single one is that of all, if these have one size.
 
-    name, given: the argument and its value, see `Views.read`; masks themselves are not read.
-
-    Raises ImageError for another number of them, or a single one where the sizes differ.
+    Raises ImageError for another number of them.
     """
     k = len(targets)
     if given is None or (isinstance(given, str) and given == ALPHA):
@@ -85,10 +83,7 @@ def one_a_view(name: str, given: object, targets: Sequence[object]) -> list[obje
 def read_weights(given: object, target: object, size: tuple[int, int], what: str) -> Float32 | None:
     """Weights (H, W) in [0, 1] of a picture, of which the largest is 1; None if all are equal.
 
-    given: a gray picture, any input of `as_target`, of that size, gray times alpha where it is
-        transparent; "alpha" for the alpha channel of the target; None.
-    what: its name in errors.
-
+    given: a gray picture of that size (times its alpha), "alpha" for that of the target, or None.
     Raises ImageError: wrong size, colors, values outside [0, 1], NaN, or zeros everywhere.
     """
     if given is None:
@@ -243,12 +238,11 @@ class Views:
         weights: object = None,
         value_range: object = None,
     ) -> Views:
-        """Views from what a user passes as `target`, `mask`, `weights` and `value_range`.
+        """Views from what a user passes, see `FIDE`.
 
         target: a picture, any input of `as_target`, or a list of them; or views, as they are.
         mask, weights: None; (H, W) in [0, 1], any gray picture, "alpha" for the target's own alpha
             channel; for a list of targets also a list with one of them for each view.
-        value_range: None, two numbers, or "auto".
 
         Raises ImageError, naming the view; OptionError for what is no range.
         """

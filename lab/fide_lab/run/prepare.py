@@ -112,8 +112,7 @@ def prepare(
         if isinstance(optimizer, str):
             versions |= of_files({optimizer: optimizers.source_of(optimizer)})
         versions |= of_weights(searcher) | of_losses([judge, *metrics.values()])
-        if resumed:
-            versions = that_count_later(versions, optimizer == "fide", judge.name)
+        versions = that_count_later(versions, optimizer == "fide", judge.name, resumed)
         directory = RunDirectory(
             out, settings, resume=resume, command=command, sources=versions,
             may_change=() if "budget" in optimizers.options(optimizer) else ("budget",),

@@ -34,11 +34,15 @@ def of_losses(losses: Iterable[ImageLoss]) -> dict[str, str]:
     return {f"{_LOSS}{name}": f"version:{version}" for name, version in known.items()}
 
 
-def that_count_later(versions: Mapping[str, str], of_fide: bool, loss: str) -> dict[str, str]:
+def that_count_later(
+    versions: Mapping[str, str], of_fide: bool, loss: str, resumed: bool
+) -> dict[str, str]:
     """Those that a run which goes on depends on: its state has weights, and FIDE's model and loss.
 
-    loss: name of the optimizer's.
+    loss: name of the optimizer's.  resumed: whether it goes on; else all of them count.
     """
+    if not resumed:
+        return dict(versions)
     found = {name: now for name, now in versions.items() if kind_of(now) != _WEIGHTS}
     if not of_fide:
         return found
