@@ -9,7 +9,7 @@ import numpy as np
 from fide_lab.baselines.base import Baseline, quietly, worse_than
 from fide_plugins.runtime.machine import missing
 from fide_plugins.types import Float32, Float64
-from fide_plugins.validation.options import one_of
+from fide_plugins.validation.options import one_of, positive
 from fide_plugins.validation.points import whole_number
 
 
@@ -135,8 +135,9 @@ class DiffusionEvolution(Baseline):
     Each of the population z ~ N(0, 1), x = 1/2 + sigma0 z, estimates its origin as the mean of all,
     weighted by fitness and by how likely its own place is if the diffusion began at theirs; then it
     takes a step of DDIM there.  The schedule is linear, and its end is the end of the budget; then
-    it begins again.  Fitness is exp(-loss / s), s the standard deviation of a generation's losses.
+    it begins again.  Fitness is exp(-loss / s), s a share of the standard deviation of losses.
 
+    temperature: this share.
     budget: evaluations that are planned.
     popsize: None: 64.
 
@@ -146,9 +147,16 @@ class DiffusionEvolution(Baseline):
     name: ClassVar[str] = "diffusion-evolution"
 
     def __init__(
-        self, dim: int, target: object = None, *, budget: int = 10_000, **options: Any
+        self,
+        dim: int,
+        target: object = None,
+        *,
+        temperature: float = 0.1,
+        budget: int = 10_000,
+        **options: Any,
     ) -> None:
         super().__init__(dim, target, **options)
+        self.temperature = positive("temperature", temperature)
         self.budget = whole_number("budget", budget, 1)
         self._alphas = np.linspace(1e-8, 1 - 1e-4, max(3, self.budget // self.popsize))
         self._rng = np.random.default_rng(self.seed)
@@ -169,7 +177,8 @@ class DiffusionEvolution(Baseline):
         self._step += 1
         z, worst = (X - 0.5) / self.sigma0, np.max(losses[np.isfinite(losses)], initial=0.0)
         losses = np.where(np.isfinite(losses), losses, worse_than(float(worst)))
-        fitness = -(losses - losses.min()) / max(float(losses.std()), 1e-300)
+        spread = max(self.temperature * float(losses.std()), 1e-300)
+        fitness = -(losses - losses.min()) / spread
         apart = np.square(z[:, None] - np.sqrt(now) * z).sum(axis=2)
         weights = fitness - apart / (2 * (1 - now))
         weights = np.exp(weights - weights.max(axis=1, keepdims=True))

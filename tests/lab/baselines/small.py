@@ -28,6 +28,6 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "fide-annealing": {"samples": 20, "epochs": 1},
     "inverse": {"popsize": 20, "budget": 100, "share": 0.4, "epochs": 2, "width": 8, "blocks": 1},
     "random": {},
-    "sge": {"pairs": 1},
+    "sge": {"popsize": 2},
     "zerograds": {"batch": 4},
 }
