@@ -133,8 +133,8 @@ class DiffusionEvolution(Baseline):
     """Evolution as the reverse of a diffusion (Zhang et al. 2024, arXiv:2410.02543).
 
     Each of the population z ~ N(0, 1), x = 1/2 + sigma0 z, estimates its origin as the mean of all,
-    weighted by fitness and by how likely its own place is if the diffusion began at theirs; then it
-    takes a step of DDIM there.  The schedule is linear, and its end is the end of the budget; then
+    weighted by fitness and by how likely its own place is if the diffusion began at theirs, which a
+    random projection says where there are more than two parameters; then it takes a step of DDIM.  The schedule is linear, and its end is the end of the budget; then
     it begins again.  Fitness is exp(-loss / s), s a share of the standard deviation of losses.
 
     temperature: this share.
@@ -164,6 +164,8 @@ class DiffusionEvolution(Baseline):
 
     def _begin(self) -> None:
         self._step = 0
+        projected = self._rng.standard_normal((self.dim, 2)) / np.sqrt(self.dim)
+        self._latent = projected if self.dim > 2 else np.eye(self.dim)
         self._z = self._rng.standard_normal((self.popsize, self.dim))
 
     def _sample(self) -> Float64:
@@ -179,7 +181,8 @@ class DiffusionEvolution(Baseline):
         losses = np.where(np.isfinite(losses), losses, worse_than(float(worst)))
         spread = max(self.temperature * float(losses.std()), 1e-300)
         fitness = -(losses - losses.min()) / spread
-        apart = np.square(z[:, None] - np.sqrt(now) * z).sum(axis=2)
+        seen = z @ self._latent
+        apart = np.square(seen[:, None] - np.sqrt(now) * seen).sum(axis=2)
         weights = fitness - apart / (2 * (1 - now))
         weights = np.exp(weights - weights.max(axis=1, keepdims=True))
         origin = weights @ z / weights.sum(axis=1, keepdims=True)
