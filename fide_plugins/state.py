@@ -18,7 +18,6 @@ from fide_plugins.population import (
     Population,
     TrainingSample,
     columns,
-    in_order,
 )
 from fide_plugins.proposers import Proposer
 from fide_plugins.proposers.feature_buffer import MOST, for_jacobian
@@ -97,7 +96,7 @@ class State:
     searches: int = saved(whole(), default=1)
     evaluations: int = saved(whole(), default=0)
     not_finite: int = saved(whole(), default=0)
-    best: Best | None = saved(maybe(Best.schema()), default=None)
+    best: Best | None = saved(maybe(form(Best)), default=None)
     improved_at: int = saved(whole(), default=0)
     improved_to: float = saved(real(high=np.inf), default=np.inf)
     samples: list[TrainingSample] = saved(each(form(TrainingSample)), default_factory=list)
@@ -123,7 +122,10 @@ class State:
     @property
     def generation_is_fixed(self) -> bool:
         """Whether the present generation, a test, needs exactly the candidates drawn for it."""
-        return self.moves.stage is not Stage.SEARCH and not self.moves.has_more
+        stage, move = self.moves.stage, self.moves.move
+        if stage is Stage.RESTART:
+            return not self.moves.family[move].has_more
+        return stage is not Stage.SEARCH
 
     def preview_search(self) -> Search | None:
         """Return the search as it would be updated now; nothing else changes.
@@ -156,8 +158,8 @@ class State:
         loss, told = (loss, told) if finite else (np.inf, np.inf)
         candidate = self.population.record(x, told)
         if candidate is None:
-            number = self.population.new_index()
-            exact = x = self.search.clipped(x[None])[0]  # what is rendered at x
+            number = self.population.drawn - 1
+            exact = x = self.search.axes.clipped(x[None])[0]  # what is rendered at x
         else:
             number, exact = candidate.index, candidate.x  # x may have lost digits on its way
         if finite:
@@ -184,7 +186,7 @@ class State:
             self.improved_at, self.improved_to = self.evaluations, solution.loss
         mean, search_number = solution.x.copy(), 0
         if asked is not None and self.moves.stage is Stage.SEARCH:
-            start = self.search.clipped(self.moves.start.mean[None])[0]
+            start = self.search.axes.clipped(self.moves.start.mean[None])[0]
             if not np.array_equal(asked, start):  # which was given, or found before, not by it
                 mean, search_number = self.search.mean, self.searches
         self.best = Best(solution, number, mean, search_number)
@@ -203,11 +205,6 @@ class State:
         best = self.search_best
         if best is None or (sample.loss, sample.index) < (best.loss, best.index):
             self.search_best = sample
-
-    def take_samples(self) -> list[TrainingSample]:
-        """Samples since the last call, in the order in which they were asked."""
-        samples, self.samples = in_order(self.samples), []
-        return samples
 
     # -- the end of a generation -------------------------------------------------------------------
 
@@ -230,11 +227,10 @@ class State:
         uncovered = self.kept is not None and not self.kept.covered
         return uncovered and self.moves.hypotheses is not None
 
-    def tell_hypotheses(self, comparison: Comparison | None) -> None:
+    def tell_hypotheses(self, kept: Kept, comparison: Comparison) -> None:
         """Tell those of a model what renders of a photograph have shown, before a decision."""
-        hypotheses = self.moves.hypotheses
-        if hypotheses is not None and comparison is not None and self.kept is not None:
-            hypotheses.covered = self.kept.covered
+        if (hypotheses := self.moves.hypotheses) is not None:
+            hypotheses.covered = kept.covered
             hypotheses.floor = comparison.floor if self.needs_floor else 0.0
 
     def is_over(self, *, guided: bool) -> bool:
@@ -295,12 +291,14 @@ class State:
         elif self.moves.stage is Stage.DESCENT and self.moves.descents is not None:
             self.scales.begin_at(self.moves.descents.share)
         elif self.moves.stage is Stage.RESTART and self.moves.begins_coarse:
-            self.scales.begin()
+            self.scales.left = list(self.scales.blurs)
 
     def _begin_search(self) -> None:
         """Begin where the moves say; what proposers and steps learned was of the last search."""
         self.searches += 1
-        self.moves.start = self.search.setting.valid_start(self.moves.start, self.searches)
+        if (validity := self.search.setting.validity) is not None:
+            valid = validity.start(self.moves.start.mean, self.searches)
+            self.moves.start = replace(self.moves.start, mean=valid)
         self.search = self.new_search()
         for part in (self.proposer, self.steps):
             if part is not None:
@@ -374,7 +372,9 @@ class State:
     def _arrived(self) -> Float64:
         """Best candidate (d,) of the present search, by the loss that it is told."""
         best = self.search_best
-        return self.search.render_mean(self.search.mean) if best is None else best.x.copy()
+        if best is not None:
+            return best.x.copy()
+        return np.asarray(self.search.axes.reflected(self.search.mean[None])[0])
 
     # -- other places and pictures -----------------------------------------------------------------
 
@@ -438,12 +438,11 @@ class State:
 
     def draw_moves(self, rng: np.random.Generator) -> Float64:
         """Candidates (n, d) of the present stage, which must not be SEARCH; valid ones only."""
-        validity, moves = self.search.setting.validity, self.moves
-        if validity is None:
-            return self.search.clipped(moves.draw(rng))
-        return validity.redrawn(
-            lambda: self.search.clipped(moves.draw(rng)), moves.has_more, moves.start.mean
-        )
+        moves, clipped = self.moves, self.search.axes.clipped
+        if (validity := self.search.setting.validity) is None:
+            return clipped(moves.draw(rng))
+        more = not self.generation_is_fixed
+        return validity.redrawn(lambda: clipped(moves.draw(rng)), more, moves.start.mean)
 
     def estimate_of(self, x: Float64) -> Estimate | None:
         """How well the parameters of a solution (d,) are known, from what is remembered now.
@@ -452,7 +451,7 @@ class State:
         """
         from fide_plugins.uncertainty import LocalEstimate
 
-        known, layout = self.moves.known, self.search.setting.layout
+        known = self.moves.known
         samples = self.memory.samples + self._ends
         if not samples:
             return None
@@ -462,7 +461,7 @@ class State:
             target=known.target,
             channels=known.channels,
             axes=known.axes,
-            discrete=None if layout is None else layout.discrete,
+            discrete=known.axes.discrete,
             blocks=known.exchangeability.blocks,
         )
 

@@ -292,20 +292,23 @@ def _keep_pictures(renders: Renders, result: Any, out: Path) -> None:
     """Render further solutions for `fide solutions`; those that fail stay without an image."""
     import numpy as np
 
-    from fide_plugins import solutions as stored
     from fide_plugins.fitting.pictures import as_compared, picture
     from fide_plugins.fitting.rendering import Rendered
+    from fide_plugins.recording.storage import SOLUTIONS
+    from fide_plugins.runtime import checkpoint
 
     points = [one.x for one in result.solutions[1:]]
     outcomes = renders(result.optimizer, np.array(points)) if points else []
-    kept: list[tuple[Any, Any]] = []
+    kept: dict[str, list[Any]] = {"x": [], "images": []}
     for x, outcome in zip(points, outcomes, strict=True):
         if isinstance(outcome, Rendered):
             with suppress(ImageError):  # no image that fits is a render that failed, too
                 image = as_compared(result.optimizer, outcome.image)
-                kept.append((x, picture(result.optimizer, image)))
-    if kept:
-        stored.write_images(out, [x for x, _ in kept], [image for _, image in kept])
+                kept["images"].append(picture(result.optimizer, image))
+                kept["x"].append(x)
+    if kept["x"]:
+        state = {name: np.array(arrays) for name, arrays in kept.items()}
+        checkpoint.write(out / SOLUTIONS, "solutions", state)
 
 
 def _summary(result: Any, out: Path) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from fide_plugins.cli.terminal import note, number, plain
 from fide_plugins.recording.record import PARTS, Progress, Report
+from fide_plugins.runtime import laboratory
 from fide_plugins.runtime.messages import duration
 
 _FIRST, _EVERY = 5.0, 60.0  # seconds until the first line, and between two: for a log file
@@ -64,10 +65,11 @@ def _parts(what: str, progress: Progress, each: float, done: int) -> Iterator[st
 
 @contextmanager
 def page_of(out: Path) -> Iterator[None]:
-    """Within this block, the page of a run directory is served and open in the browser."""
-    from fide_plugins.watch import serve
+    """Within this block, the page of a run directory is served and open in the browser.
 
-    server, url = serve(out)
+    Raises DependencyError without the laboratory.
+    """
+    server, url = laboratory.module("watch").serve(out)
     try:
         note(f"{url} shows {plain(out)} until the command ends")
         open_page(url)

@@ -122,7 +122,7 @@ class ScaleSpace:
         self._seen = []
         if not self.useful or not (best >= _MUCH * sharp or agreement < _LITTLE):
             return None
-        self.begin()
+        self.left = list(self.blurs)
         apart = _flat(seen, BLURS[0]) - _flat([(0, X[0], self._small(target))], BLURS[0])
         first: Float64 = X[int(np.argmin(np.square(apart).mean(axis=1)))]
         return first
@@ -135,9 +135,7 @@ class ScaleSpace:
         self.blurs = tuple(b for b, one in zip(BLURS, left[1:], strict=True) if one >= enough)
         if self.blurs == BLURS:
             self.blurs = _PHOTO_BLURS
-        self.useful = bool(self.blurs)
-        if self.useful:
-            self.begin()
+        self.useful, self.left = bool(self.blurs), list(self.blurs)
         return self.useful
 
     def _small(self, image: Float32) -> list[Float32]:
@@ -151,10 +149,6 @@ class ScaleSpace:
         return small
 
     # -- searches ----------------------------------------------------------------------------------
-
-    def begin(self) -> None:
-        """Begin coarse."""
-        self.left = list(self.blurs)
 
     def begin_at(self, share: float) -> None:
         """Compare at one blur, in sides of the image, and no other after it; 0: sharp."""

@@ -9,6 +9,7 @@ ValueError: state['x'] has the shape (3, 2), and n is 3
 from __future__ import annotations
 
 import sys
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import field, fields
 from typing import Any, ClassVar, TypeAlias
@@ -63,7 +64,7 @@ def values(instance: Any) -> dict[str, Any]:
 
 def packed(value: Any) -> Any:
     """A part, or a list of them, as plain values, by `state_dict`; anything else as it is."""
-    if isinstance(value, list | tuple):
+    if isinstance(value, list | tuple | deque):
         return [packed(one) for one in value]
     return value.state_dict() if hasattr(value, "state_dict") else value
 

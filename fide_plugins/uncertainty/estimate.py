@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 from torch import Tensor
 
-from fide_plugins.population import TrainingSample, in_order
+from fide_plugins.population import BY_INDEX, TrainingSample
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.search import mixed
 from fide_plugins.search.mixed import Axes
@@ -110,7 +110,8 @@ def surroundings(
     free = np.ones(len(x), bool) if discrete is None else ~discrete
     if not free.any() or len(samples) < _least(free):
         return None
-    samples = in_order({(one.index, one.x.tobytes()): one for one in samples}.values())
+    different = {(one.index, one.x.tobytes()): one for one in samples}
+    samples = sorted(different.values(), key=BY_INDEX)
     points, matched = aligned(np.array([sample.x for sample in samples]), x, blocks, axes)
     other = (np.abs(points - x) >= _COORDINATE) & ~free
     own = matched & ~other.any(axis=1)

@@ -18,6 +18,7 @@ from fide_plugins.comparison.mismatch import explanation
 from fide_plugins.comparison.scale_space import blurred
 from fide_plugins.errors import ImageError, LossError, OptionError
 from fide_plugins.evaluation import Evaluator
+from fide_plugins.options import Options
 from fide_plugins.status import Facts, status_of
 
 Image = npt.NDArray[np.float32]
@@ -49,8 +50,10 @@ def shaded(image: Image) -> Image:
     return np.asarray(image * field[..., None], np.float32)
 
 
-def evaluator(target: Image, loss: str | None = None, **options: Any) -> Evaluator:
-    return Evaluator(target, loss, "dense", **options)
+def evaluator(
+    target: Image, loss: str | None = None, mask: object = None, **options: Any
+) -> Evaluator:
+    return Evaluator(target, loss, "dense", mask=mask, options=Options(**options))
 
 
 def losses(made: Evaluator, images: Any, note: bool = False) -> npt.NDArray[np.float64]:

@@ -24,7 +24,8 @@ sys.exit(main(sys.argv[1:]))
     ("old", "new", "attribute"),
     [
         ("fide_plugins.baselines", "fide_lab.baselines", "CMA"),
-        ("fide_plugins.experiments.solutions", "fide_plugins.solutions", "Found"),
+        ("fide_plugins.experiments.solutions", "fide_lab.solutions", "Found"),
+        ("fide_plugins.watch", "fide_lab.watch", "serve"),
         ("fide_plugins.optimizers", "fide_lab.optimizers", "make"),
     ],
 )

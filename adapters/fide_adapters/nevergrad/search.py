@@ -180,7 +180,7 @@ class Search:
             snapshot = self._fide.snapshot()
             del snapshot["settings"]["target"], snapshot["settings"]["weights"]  # which this has
             if snapshot["state"]["best"] is not None:
-                snapshot["state"]["best"]["image"] = None
+                snapshot["state"]["best"]["solution"]["image"] = None
             state["_snapshot"] = as_arrays(snapshot)
         return state
 

@@ -40,11 +40,11 @@ class Foreign:
         self._comparisons = 0 if self._fide is None else self._fide.state.comparisons
         if self._fide is None:
             from fide_plugins.evaluation import Evaluator
+            from fide_plugins.options import Options
 
             light = None if info.light == "none" else info.light
-            self._evaluator = Evaluator(
-                target, loss, "dense", photometric=light, robust="auto", background="free"
-            )
+            how = Options(photometric=light, robust="auto", background="free")
+            self._evaluator = Evaluator(target, loss, "dense", options=how)
 
     def tell(
         self, optimizer: Optimizer, X: Float64, images: Any, record: Record

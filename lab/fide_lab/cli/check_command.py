@@ -53,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
-    from fide_plugins.fitting.checking import as_data, check, figure, lines
+    from fide_lab.checking import as_data, check, figure, lines
 
     who = "fide check"
     with warnings_as_notes(who):

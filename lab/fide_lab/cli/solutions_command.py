@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
-    from fide_plugins import solutions
+    from fide_lab import solutions
     from fide_plugins.encoders.own import referenced
     from fide_plugins.recording.parameters import rows, solutions_as_data
 

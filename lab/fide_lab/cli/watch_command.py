@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
-    from fide_plugins.watch import serve
+    from fide_lab.watch import serve
 
     if not args.directory.is_dir():
         return complain("fide watch", f"there is no directory {plain(args.directory)}")
