@@ -133,9 +133,10 @@ class DiffusionEvolution(Baseline):
     """Evolution as the reverse of a diffusion (Zhang et al. 2024, arXiv:2410.02543).
 
     Each of the population z ~ N(0, 1), x = 1/2 + sigma0 z, estimates its origin as the mean of all,
-    weighted by fitness and by how likely its own place is if the diffusion began at theirs, which a
-    random projection says where there are more than two parameters; then it takes a step of DDIM.  The schedule is linear, and its end is the end of the budget; then
-    it begins again.  Fitness is exp(-loss / s), s a share of the standard deviation of losses.
+    weighted by fitness and by how likely its own place is if the diffusion began at theirs; then it
+    takes a step of DDIM.  Places are compared in a random projection on two axes.  The schedule is
+    linear and ends with the budget; then it begins again.  Fitness is exp(-loss / s), s a share of
+    the standard deviation of losses.
 
     temperature: this share.
     budget: evaluations that are planned.
