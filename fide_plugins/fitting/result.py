@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
     from fide_plugins.fide import FIDE
     from fide_plugins.fitting.rendering import Failed
-    from fide_plugins.fitting.saved_run import Unsaved
     from fide_plugins.status import Status
     from fide_plugins.types import Float32, Float64, Indices, Solution
 
@@ -64,7 +63,7 @@ class Result:
         computed; 0: it is rough, from samples of the search, or was read.
     value_range: values of target and images that are black and white; None: 0 and 1.
     compared: best image as it is compared, where that is another picture than `best.image`.
-    unsaved: what `save` writes, of a fit that has just ended.
+    unsaved: what `save` calls, of a fit that has just ended.
     """
 
     best: Solution | None
@@ -91,7 +90,7 @@ class Result:
     plan: tuple[str, ...] = ()
     clipped: int = 0
     value_range: tuple[float, float] | None = None
-    unsaved: Unsaved | None = None
+    unsaved: Callable[[str | os.PathLike[str]], None] | None = None
     rejected: float | None = None
     compared: Any = None
 
@@ -124,7 +123,7 @@ class Result:
                 if file.is_file() and not file.is_symlink():
                     shutil.copyfile(file, to / file.name)
         elif self.unsaved is not None:
-            self.unsaved.write(path)
+            self.unsaved(path)
         else:
             raise FideError("this result has neither a run directory nor an optimizer")
 

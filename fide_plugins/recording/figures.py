@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fide_plugins.recording.record import RunResult, best_so_far
+from fide_plugins.recording.record import Record, best_so_far
 from fide_plugins.runtime.messages import counted
 from fide_plugins.runtime.plotting import new_figure
+from fide_plugins.space import Space
 from fide_plugins.types import Float32, Float64
 
 if TYPE_CHECKING:
@@ -64,10 +65,7 @@ class Panel:
 
 
 def difference(target: Float32, image: Float32, counts: Float32 | None = None) -> Float32:
-    """Absolute difference of two pictures (H, W, 3), `GAIN` times as strong, in [0, 1].
-
-    counts: (H, W), where it is 0 no difference is shown.
-    """
+    """Difference of two pictures (H, W, 3), `GAIN` times as strong, where `counts` is not 0."""
     apart: Float32 = np.clip(GAIN * np.abs(target - image), 0, 1).astype(np.float32)
     if counts is not None:
         apart[np.asarray(counts) == 0] = 0
@@ -134,28 +132,32 @@ def result_figure(panels: Sequence[Panel], losses: Float64, loss: str) -> Figure
     return figure
 
 
-def summary(result: RunResult, target: Float32, counts: Float32 | None = None) -> bytes:
-    """PNG with the target, the first render, the best image, what is left, and the losses.
-
-    counts: (H, W), weights of the pixels; None: all are alike.
-    """
-    figure = result_figure(_panels(result, target, counts), result.losses, result.loss)
-    facts = f"{counted(result.parameters, 'parameter')}   {result.evaluations:,} renders"
-    title = f"{plain(result.task)}, fitted by {plain(result.optimizer)}"
-    seed = f"seed {result.seed}   {result.wall_s:.1f} s"
+def summary(
+    settings: Mapping[str, Any], record: Record, panels: Sequence[Panel], more: Sequence[Panel] = ()
+) -> bytes:
+    """PNG of a run with these settings: pictures, see `panels_of`, and its losses."""
+    figure = result_figure([*panels, *more], np.array(record.losses), settings["loss"])
+    space = settings.get("space")
+    number = settings["dim"] if space is None else len(Space.from_dict(space).names)
+    facts = f"{counted(number, 'parameter')}   {record.evaluations:,} renders"
+    title = f"{plain(settings['task'])}, fitted by {plain(settings['optimizer'])}"
+    seed = f"seed {settings['seed']}   {record.wall_s:.1f} s"
     figure.suptitle(f"{title}   ({facts}   {seed})", fontsize=11, color=INK)
     return figure_as_png(figure)
 
 
-def _panels(result: RunResult, target: Float32, counts: Float32 | None) -> list[Panel]:
-    best = result.image
+def panels_of(
+    target: Float32, first: Float32 | None, best: Float32 | None, counts: Float32 | None = None
+) -> list[Panel]:
+    """The target, the first render, the best image, and what is left.
+
+    counts: (H, W), weights of the pixels; None: all are alike.
+    """
     panels = [Panel("target", target)]
-    for name, image in (("first render", result.first_image), ("best", best)):
+    for name, image in (("first render", first), ("best", best)):
         if image is not None:
             squared = np.square(image.astype(np.float64) - target).mean(axis=-1)
             panels.append(Panel(name, image, f"MSE {np.average(squared, weights=counts):.3g}"))
     if best is not None:
         panels.append(Panel(f"{GAIN}x difference", difference(target, best, counts)))
-    if result.noisy and result.reference is not None:
-        panels.append(Panel("reference", result.reference, f"MSE {result.mse:.3g}"))
     return panels

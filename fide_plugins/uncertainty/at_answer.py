@@ -20,10 +20,7 @@ _TINY = 1e-150
 
 @dataclass(frozen=True, eq=False)
 class AtAnswer:
-    """An estimate from renders around an answer.
-
-    std: (dim,), NaN for integers and choices.  by_samples: of samples of the search; None: unknown.
-    """
+    """An estimate from renders around an answer; std: (dim,), NaN for integers and choices."""
 
     std: Float64
     by_samples: Estimate | None = None

@@ -84,10 +84,7 @@ def restored(image: Any, values: ValueRange | None) -> Any:
 
 
 def value_range_of(given: Any) -> ValueRange | str | None:
-    """`value_range` as a user gives it: None, "auto", or two numbers, the lower one first.
-
-    Raises OptionError (a ValueError) for anything else.
-    """
+    """`value_range` as a user gives it: None, "auto", or two numbers; OptionError otherwise."""
     if given is None or isinstance(given, ValueRange) or (isinstance(given, str) and given == AUTO):
         return given
     try:
@@ -192,10 +189,7 @@ class Clipping:
     warned: bool = saved(flag, default=False)
 
     def __call__(self, clip: Clip) -> None:
-        """Count images; warns of the first ones.
-
-        Raises ValueRangeError, before anything changes, if the run is on another scale.
-        """
+        """Count images, with a warning of the first ones; ValueRangeError on another scale."""
         self.note(clip)
         if not self.warned:
             self.warned = True

@@ -11,7 +11,7 @@ import pytest
 from fide_plugins import FIDE, Fidelity, fit
 from fide_plugins.fitting.fidelity import schedule_for
 from fide_plugins.fitting.rendering import Outcome, Rendered
-from fide_plugins.fitting.schedule import Planner
+from fide_plugins.fitting.schedule import planned
 from fide_plugins.fitting.workers import InThisProcess
 from fide_plugins.types import Float64
 
@@ -35,12 +35,11 @@ def test_sizes_that_save_no_time_are_left_out(
     optimizer = FIDE(SPACE, target, seed=0)
     schedule = schedule_for(renderer([]), FIDELITY, optimizer)
     assert schedule is not None
-    planner = Planner(60.0, 1)
-    planner.measure(optimizer, schedule, InThisProcess(rendered), None)
+    lines = planned(schedule, optimizer, InThisProcess(rendered), None, 60.0)
     assert [size[0] for size in schedule.sizes] == kept
     small = None if kept == [64] else (kept[0], kept[0])
     assert optimizer.evaluator.size == small
-    assert len(planner.lines) == 3 and ("save no time" in planner.lines[0]) == (len(kept) < 3)
+    assert len(lines) == 3 and ("save no time" in lines[0]) == (len(kept) < 3)
     assert schedule.cost == pytest.approx(1 + 1 / 4 + 2 / 16)
 
 

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fide_adapters.image_loss import ImageReader, views_of
 from fide_plugins import FIDE, losses
 from fide_plugins.errors import CheckpointError, ImageError, LossError
 from fide_plugins.runtime import checkpoint
 from fide_plugins.types import Float32, Float64
-from fide_plugins.views.views import Views, views_of
+from fide_plugins.views.views import Views
 
 Render = Callable[[Float64], Float32]
 RNG = np.random.default_rng(3)
@@ -155,10 +156,10 @@ def test_a_forged_checkpoint_is_refused(broken: str, tmp_path: Path) -> None:
 
 def test_the_images_of_one_candidate() -> None:
     views = Views.read([A, B])
-    np.testing.assert_array_equal(views.batch_of_one([A, B], print)[0], views.target)
-    np.testing.assert_array_equal(Views.read(A).batch_of_one(A, print)[0], A)
+    np.testing.assert_array_equal(ImageReader(views)([A, B])[0], views.target)
+    np.testing.assert_array_equal(ImageReader(Views.read(A))(A)[0], A)
     with pytest.raises(ImageError, match="a render is a list of 2 images"):
-        views.batch_of_one([A], print)
+        ImageReader(views)([A])
     with pytest.raises(LossError, match="made for one target, and there are 2 views"):
         FIDE(3, [A, B], loss=losses.make("mse", A))
 

@@ -16,8 +16,9 @@ import argparse
 import json
 from typing import Any
 
+from fide_lab.cli.running import write_figure
 from fide_plugins.cli.arguments import path, whole
-from fide_plugins.cli.terminal import USAGE_ERRORS, complain, number, plain, write_figure
+from fide_plugins.cli.terminal import USAGE_ERRORS, complain, number, plain
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
