@@ -450,7 +450,7 @@ class State:
 
         It is computed when it is read; None if no sample says anything.
         """
-        from fide_plugins.uncertainty import LocalEstimate
+        from fide_plugins.uncertainty.estimate import LocalEstimate
 
         known = self.moves.known
         samples = self.memory.samples + self._ends

@@ -36,7 +36,7 @@ from fide_plugins.recording.directory import note_unsaved
 from fide_plugins.recording.record import Record
 from fide_plugins.recording.signals import Interrupted, Interrupts
 from fide_plugins.runtime.messages import warn_user
-from fide_plugins.uncertainty.at_answer import AtAnswer
+from fide_plugins.types import Estimated
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
@@ -326,8 +326,10 @@ class Fitting:
         """Those of the optimizer, the best one with standard deviations by renders around it."""
         solutions = self.optimizer.solutions()
         if self._std is not None:
-            best = solutions[0]
-            solutions[0] = replace(best, estimate=AtAnswer(self._std, best.estimate))
+            best, ambiguous = solutions[0], None
+            if best.estimate is not None and len(numbers(self.optimizer)) < self.optimizer.dim:
+                ambiguous = best.estimate.ambiguous  # of the others, by samples of the search
+            solutions[0] = replace(best, estimate=Estimated(self._std, ambiguous))
         return solutions
 
     def _result(self, stopped: str) -> Result:

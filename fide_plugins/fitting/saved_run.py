@@ -17,7 +17,6 @@ from fide_plugins.fide import FIDE
 from fide_plugins.fitting.pictures import best_compared, counting, picture, shown, side_by_side
 from fide_plugins.fitting.result import Result, opened, result_from
 from fide_plugins.recording.directory import RunDirectory, try_each
-from fide_plugins.recording.figures import panels_of
 from fide_plugins.recording.parameters import solutions_as_data, with_std
 from fide_plugins.recording.record import Record, totals_of
 from fide_plugins.recording.storage import RunDirectoryError, impossible, read_record, read_run
@@ -83,9 +82,9 @@ class SavedRun(RunDirectory):
             None if one is None else picture(optimizer, one)
             for one in (optimizer.evaluator.full.target, record.first_image, image)
         )
-        assert target is not None
-        counts = counting(optimizer.weights, optimizer.target)
-        self.write_summary(record, panels_of(target, first, best, counts))
+        self.write_summary(
+            record, target, first, best, counts=counting(optimizer.weights, optimizer.target)
+        )
 
 
 def best_pictures(record: Record, optimizer: FIDE) -> tuple[Float32 | None, Float32 | None]:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from fide_plugins.errors import CheckpointError, DependencyError
-from fide_plugins.recording.figures import Panel, as_png, summary
+from fide_plugins.recording.panels import as_png
 from fide_plugins.recording.record import Record, best_so_far
 from fide_plugins.recording.storage import (
     CHECKPOINT,
@@ -32,7 +32,7 @@ from fide_plugins.recording.storage import (
     read_run,
     write_checkpoint,
 )
-from fide_plugins.runtime import files, machine
+from fide_plugins.runtime import files, laboratory, machine
 from fide_plugins.runtime.messages import warn_user
 from fide_plugins.runtime.registry import changed, kind_of
 
@@ -240,15 +240,14 @@ class RunDirectory:
         if image is not None:
             files.write_bytes(self.path / f"{name}.png", as_png(image))
 
-    def write_summary(
-        self, record: Record, panels: Sequence[Panel], more: Sequence[Panel] = ()
-    ) -> None:
-        """Write `summary.png` of pictures, see `figures.panels_of`, and losses.
+    def write_summary(self, record: Record, *pictures: Float32 | None, **more: Any) -> None:
+        """Write `summary.png`; pictures, more: as for `fide_lab.figures.summary`.
 
         Without matplotlib, which is an extra, a warning says so: the run is worth more.
         """
         try:
-            picture = summary(self.settings, record, panels, more)
+            figures = laboratory.module("figures")
+            picture = figures.summary(self.settings, record, *pictures, **more)
         except DependencyError as error:
             warn_user(f"summary.png is left out: {error}")
         else:

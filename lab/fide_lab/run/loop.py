@@ -26,7 +26,7 @@ from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers import InThisProcess
 from fide_plugins.losses.base import ImageLoss
 from fide_plugins.recording.directory import RunDirectory, note_unsaved
-from fide_plugins.recording.figures import Panel, panels_of
+from fide_plugins.recording.panels import Panel
 from fide_plugins.recording.record import Progress, Record, Report
 from fide_plugins.recording.signals import Interrupted, Interrupts
 from fide_plugins.recording.storage import CHECKPOINT, TARGET_FILE
@@ -236,10 +236,11 @@ class Run:
 
     def _write_summary(self, result: RunResult) -> None:
         assert self._directory is not None
-        panels, more = panels_of(self.target, result.first_image, result.image), []
+        more = []
         if result.noisy and result.reference is not None:
             more = [Panel("reference", result.reference, f"MSE {result.mse:.3g}")]
-        self._directory.write_summary(self.record, panels, more)
+        pictures = self.target, result.first_image, result.image
+        self._directory.write_summary(self.record, *pictures, more=more)
 
     def _judge(self) -> Verdict:
         r, reference = self.record, self._info.reference

@@ -1,39 +1,37 @@
-"""Images and figures of a run, as PNG bytes; no window, no global state of matplotlib."""
+"""Figures of runs by matplotlib, which the extra plot installs; no window, no global state."""
 
 from __future__ import annotations
 
 import io
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fide_plugins.recording.panels import GAIN, Panel, difference
 from fide_plugins.recording.record import Record, best_so_far
+from fide_plugins.runtime.machine import missing
 from fide_plugins.runtime.messages import counted
-from fide_plugins.runtime.plotting import new_figure
 from fide_plugins.space import Space
 from fide_plugins.types import Float32, Float64
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-THUMBNAIL = 160
-"""Longer side of a thumbnail, pixels."""
-
-GAIN = 4
-"""By how much a picture of a difference is stronger than the difference."""
 INK, MUTED, ACCENT = "#1a1a1a", "#8a8f98", "#c2410c"
 
 
-def as_png(image: Float32) -> bytes:
-    """PNG of an image (H, W, 3) in [0, 1]."""
-    from PIL import Image
-
-    buffer = io.BytesIO()
-    Image.fromarray(np.rint(image * 255.0).astype(np.uint8)).save(buffer, format="PNG")
-    return buffer.getvalue()
+def new_figure(width: float, height: float, *, dpi: int = 100, facecolor: str = "white") -> Figure:
+    """An empty figure, width and height in inches; DependencyError without matplotlib."""
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise missing("plot", "figures need matplotlib") from error
+    figure = Figure(figsize=(width, height), dpi=dpi, facecolor=facecolor)
+    FigureCanvasAgg(figure)
+    return figure
 
 
 def figure_as_png(figure: Any) -> bytes:
@@ -41,35 +39,6 @@ def figure_as_png(figure: Any) -> bytes:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": None})
     return buffer.getvalue()
-
-
-def thumbnail(image: Float32, side: int = THUMBNAIL) -> Float32:
-    """The image (H, W, 3), reduced if its longer side has more than `side` pixels."""
-    from fide_plugins.runtime.opencv import cv2
-
-    height, width = image.shape[:2]
-    scale = side / max(height, width)
-    if scale >= 1.0:
-        return image
-    size = max(1, round(width * scale)), max(1, round(height * scale))
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32)
-
-
-@dataclass(frozen=True, eq=False)
-class Panel:
-    """A picture (H, W, 3) in [0, 1] of a figure, with its name and a note."""
-
-    name: str
-    image: Float32
-    note: str = ""
-
-
-def difference(target: Float32, image: Float32, counts: Float32 | None = None) -> Float32:
-    """Difference of two pictures (H, W, 3), `GAIN` times as strong, where `counts` is not 0."""
-    apart: Float32 = np.clip(GAIN * np.abs(target - image), 0, 1).astype(np.float32)
-    if counts is not None:
-        apart[np.asarray(counts) == 0] = 0
-    return apart
 
 
 def draw_image(axes: Any, panel: Panel) -> None:
@@ -133,25 +102,17 @@ def result_figure(panels: Sequence[Panel], losses: Float64, loss: str) -> Figure
 
 
 def summary(
-    settings: Mapping[str, Any], record: Record, panels: Sequence[Panel], more: Sequence[Panel] = ()
+    settings: Mapping[str, Any],
+    record: Record,
+    target: Float32,
+    first: Float32 | None,
+    best: Float32 | None,
+    counts: Float32 | None = None,
+    more: Sequence[Panel] = (),
 ) -> bytes:
-    """PNG of a run with these settings: pictures, see `panels_of`, and its losses."""
-    figure = result_figure([*panels, *more], np.array(record.losses), settings["loss"])
-    space = settings.get("space")
-    number = settings["dim"] if space is None else len(Space.from_dict(space).names)
-    facts = f"{counted(number, 'parameter')}   {record.evaluations:,} renders"
-    title = f"{plain(settings['task'])}, fitted by {plain(settings['optimizer'])}"
-    seed = f"seed {settings['seed']}   {record.wall_s:.1f} s"
-    figure.suptitle(f"{title}   ({facts}   {seed})", fontsize=11, color=INK)
-    return figure_as_png(figure)
+    """PNG of a run with these settings: target, first render, best image, what is left, losses.
 
-
-def panels_of(
-    target: Float32, first: Float32 | None, best: Float32 | None, counts: Float32 | None = None
-) -> list[Panel]:
-    """The target, the first render, the best image, and what is left.
-
-    counts: (H, W), weights of the pixels; None: all are alike.
+    counts: (H, W), weights of the pixels; None: all are alike.  more: further pictures.
     """
     panels = [Panel("target", target)]
     for name, image in (("first render", first), ("best", best)):
@@ -160,4 +121,11 @@ def panels_of(
             panels.append(Panel(name, image, f"MSE {np.average(squared, weights=counts):.3g}"))
     if best is not None:
         panels.append(Panel(f"{GAIN}x difference", difference(target, best, counts)))
-    return panels
+    figure = result_figure([*panels, *more], np.array(record.losses), settings["loss"])
+    space = settings.get("space")
+    number = settings["dim"] if space is None else len(Space.from_dict(space).names)
+    facts = f"{counted(number, 'parameter')}   {record.evaluations:,} renders"
+    title = f"{plain(settings['task'])}, fitted by {plain(settings['optimizer'])}"
+    seed = f"seed {settings['seed']}   {record.wall_s:.1f} s"
+    figure.suptitle(f"{title}   ({facts}   {seed})", fontsize=11, color=INK)
+    return figure_as_png(figure)
