@@ -242,7 +242,7 @@ class FIDE(Saved):
         with timed(self.state.times, "search"):
             steps = np.empty((0, self.dim))
             if n is not None:
-                steps = self._make_steps(n)
+                steps = self.make_steps(n, self.state.rng)
             elif not population.remaining:
                 self.draw_generation()
             rest = population.remaining if n is None else n - len(steps)
@@ -256,7 +256,7 @@ class FIDE(Saved):
     def ask_ready(self) -> Float64:
         """As `ask`, but between two generations one step alone: the next one knows its result."""
         with timed(self.state.times, "search"):
-            if len(step := self._make_steps(1)):
+            if len(step := self.make_steps(1, self.state.rng)):
                 self._hand_out_steps(step)
                 return step
         return self.ask()
@@ -367,8 +367,8 @@ class FIDE(Saved):
                 population.replace(needed, x, z, proposed)
         self.make_proposals(population, state.rng, n)
 
-    def _make_steps(self, n: int) -> Float64:
-        """Steps (m, dim) that come before the next generation, at most n."""
+    def make_steps(self, n: int, rng: np.random.Generator) -> Float64:
+        """Steps (m, dim) that come before the next generation, at most n, by `rng`."""
         state, search, steps = self.state, self.state.search, self.state.steps
         none = np.empty((0, self.dim))
         between = state.moves.stage is Stage.SEARCH and not state.population.remaining
@@ -379,9 +379,9 @@ class FIDE(Saved):
             left = steps.left(search.popsize, target, search.std)
             if not left:
                 return none
-            _, z = search.sample(min(n, left), state.rng)
+            _, z = search.sample(min(n, left), rng)
             v = search.stretched(z)
-            x = steps.propose(v, target, search.mean, search.std, state.rng)
+            x = steps.propose(v, target, search.mean, search.std, rng)
         return steps.new_ones(search.place_proposals(x, z), state.population.is_pending)
 
     def _hand_out_steps(self, x: Float64) -> None:
