@@ -19,12 +19,12 @@ from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.evaluation import Evaluation, Evaluator, loss_of
 from fide_plugins.options import Options, make_options
 from fide_plugins.population import (
+    BY_INDEX,
     CandidateRole,
     Memory,
     Population,
     TrainingSample,
     columns,
-    in_order,
 )
 from fide_plugins.proposers import make_proposer, make_steps
 from fide_plugins.proposers.image_gate import ImageGate
@@ -34,6 +34,7 @@ from fide_plugins.runtime.schema import array, check, each, maybe, whole
 from fide_plugins.runtime.threads import Lock, one_at_a_time, one_thread, timed
 from fide_plugins.saving import Saved
 from fide_plugins.search.cma_es import default_popsize
+from fide_plugins.search.mixed import Axes
 from fide_plugins.search.moves import Stage
 from fide_plugins.search.one_search import Search, Setting
 from fide_plugins.search.policy import MovePolicy
@@ -156,11 +157,12 @@ class FIDE(Saved):
         self.guess = None if x0 is None else self.x0
         self.sigma0, self.seed = standard_deviations(sigma0, self.dim), new_seed(seed)
         self.popsize = o.popsize or default_popsize(self.dim)
+        self.axes = Axes(self.dim, None if self.space is None else self.space.layout)
         self.validity: Validity | None = None
         if constraints is not None or (self.space is not None and self.space.constraints):
             from fide_plugins.search.validity import validity_of
 
-            self.validity = validity_of(self.space, constraints, self.seed, self.guess)
+            self.validity = validity_of(self.space, constraints, self.seed, self.guess, self.axes)
         self.has_own_constraints = constraints is not None
         self.evaluator = Evaluator(
             target,
@@ -170,8 +172,7 @@ class FIDE(Saved):
             weights=weights,
             value_range=value_range,
             device=device,
-            for_network=o.has_network,
-            **o.comparison,
+            options=o,
         )
         self.same_images, self._lock = SameImages(self.popsize), Lock()
         model, posterior = (None, None) if learned is None else self._model_of(learned, self.views)
@@ -185,8 +186,7 @@ class FIDE(Saved):
         o, k, learned = self.options, self.popsize, posterior is not None
         views, encoder = self.evaluator.views, self.evaluator.encoder
         subsets = o.channel_subsets or encoder.channel_subsets
-        layout = None if self.space is None else self.space.layout
-        setting = Setting(k, np.broadcast_to(self.sigma0, self.dim), o, layout, self.validity)
+        setting = Setting(k, np.broadcast_to(self.sigma0, self.dim), o, self.axes, self.validity)
         groups: Sequence[Sequence[int]] | None = o.groups
         if groups is None and self.space is not None:
             groups = self.space.largest_family or None  # if there is none, they are tested for
@@ -194,10 +194,11 @@ class FIDE(Saved):
         guessed = self.guess is not None and bool(np.max(self.sigma0) <= _ROUGHLY)
         moves = MovePolicy(
             self.x0, setting.sigma0, popsize=k, target=self.evaluator.target_tokens,
-            channels=subsets[0], seed=self.seed, groups=groups, layout=layout, posterior=posterior,
+            channels=subsets[0], seed=self.seed, groups=groups, axes=self.axes, posterior=posterior,
             descends=o.photo and follows and (learned or guessed),
         )  # fmt: skip
-        moves.start = setting.valid_start(moves.start, 1)
+        if self.validity is not None:
+            moves.start = replace(moves.start, mean=self.validity.start(moves.start.mean, 1))
         side = min(min(view.size) for view in views.views)
         may_blur = follows and o.coarse_to_fine is not False and bool(self.evaluator.loss.spec)
         scales = ScaleSpace(
@@ -266,8 +267,13 @@ class FIDE(Saved):
         population = self.state.population
         if not population.remaining:
             self.draw_generation()
-        if n > len(population.queue):
-            self._train_early()
+        state, proposer = self.state, self.state.proposer
+        due = n > len(population.queue) and len(population.reserved) and state.samples
+        if proposer is not None and proposer.lazy and due:  # line 8, before it is asked
+            samples, state.samples = sorted(state.samples, key=BY_INDEX), []
+            state.learned += samples
+            with timed(state.times, "train"):
+                proposer.update(*columns(samples), state.search.std)
         self._make_next(n)  # which may fail, before anything is handed out
         X = np.empty((n, self.dim))
         for i in range(n):
@@ -287,7 +293,8 @@ class FIDE(Saved):
         begins = not population.size and state.moves.stage is not Stage.DESCENT  # around the guess
         if first is None and begins and self.guess is not None:
             first = self.guess[None]
-        if state.generation_is_fixed and population.has_begun:
+        begun = population.pending or population.told or population.withdrawn
+        if state.generation_is_fixed and begun:
             # as many as it has, or, if nothing is pending, as many as it lacks
             n = population.size if population.pending else max(1, population.missing)
             x, _ = state.search.sample(n, state.rng)
@@ -295,14 +302,14 @@ class FIDE(Saved):
         elif first is None or searching:
             self.draw(population, state.rng)
         else:  # hypotheses of a model, which all are asked, too
-            x = np.concatenate([state.search.clipped(first), state.draw_moves(state.rng)])
+            x = np.concatenate([self.axes.clipped(first), state.draw_moves(state.rng)])
             population.draw(x, x)
         if state.steps is not None:
-            state.steps.end()  # they come before a generation, not in it
+            state.steps.due, state.steps.remaining = False, 0  # they come before it, not in it
         if state.proposer is not None and not state.proposer.lazy:
             self.make_proposals(population, state.rng)
         if first is not None and searching:  # in the place of its first samples
-            x = state.search.clipped(first)[: population.remaining]
+            x = self.axes.clipped(first)[: population.remaining]
             population.replace(0, x, state.search.closest(x), proposed=np.zeros(len(x), bool))
 
     def draw(self, population: Population, rng: np.random.Generator) -> None:
@@ -361,7 +368,9 @@ class FIDE(Saved):
             if search is not None:
                 self.make_proposals(population, state.rng, needed)
                 x, z = search.sample(m, state.rng)  # (m, d)
-                proposed = population.proposed(needed, m)
+                made = [one.proposed for one in population.queue]
+                made += [True] * len(population.reserved)
+                proposed = np.array(made[needed : needed + m], bool)
                 if proposed.any():
                     x[proposed], z[proposed] = self._propose(z[proposed], search, state.rng)
                 population.replace(needed, x, z, proposed)
@@ -388,7 +397,7 @@ class FIDE(Saved):
         """Count steps (m, dim) as asked."""
         state = self.state
         assert state.steps is not None
-        state.steps.taken(len(x))
+        state.steps.remaining = max(0, state.steps.remaining - len(x))
         for row in zip(x, state.search.closest(x), strict=True):
             state.population.adopt(*row, CandidateRole.STEP)
 
@@ -407,9 +416,6 @@ class FIDE(Saved):
         X: object,
         images: object = None,
         losses: object = None,
-        *,
-        features: object = None,
-        version: str | None = None,
     ) -> Float64:
         """Report results, in any order and any number of pieces; returns their losses (n,).
 
@@ -424,11 +430,6 @@ class FIDE(Saved):
         losses
             (n,), the lower the better; None: the optimizer's own loss of the images.  Those that
             are NaN or infinite rank last and are counted in `not_finite`.
-        features
-            (n, T, C), in place of the images: their tokens by the optimizer's encoder; losses must
-            then be given.
-        version
-            of the encoder that made the features, which must be the optimizer's; None: you vouch.
 
         Points that were never asked (a warm start, a guess) are welcome: the proposer learns from
         them, they can become `best`, and the best of those told during a generation takes the place
@@ -437,20 +438,18 @@ class FIDE(Saved):
 
         Raises
         ------
-        PointsError, ImageError, LossError, FeaturesError
+        PointsError, ImageError, LossError
             all ValueErrors, before anything changes; of images also a ValueRangeError, if those
             told so far are on another scale than the target.
         """
         points = as_points(X, self.dim)
         n, evaluator, given = len(points), self.evaluator, losses is not None
         clipping = replace(self.state.clipping)  # a copy: the rest may fail
-        batch = evaluator.as_batch(n, images, losses, features, clipping)
+        batch = evaluator.as_batch(n, images, losses, clipping)
         with timed(self.state.times, "encode"):  # lines 7 and 9
             encode = self.state.proposer is not None and (given or not self.state.scales.blur)
-            results = evaluator.evaluate(
-                n, batch, losses, features,
-                version=version, encode=encode, note=self.state.needs_floor,
-            )  # fmt: skip
+            note = self.state.needs_floor
+            results = evaluator.evaluate(n, batch, losses, encode=encode, note=note)
         self.state.clipping = clipping
         if given and np.isfinite(results.losses).any():  # of a user: not at any blur
             self.state.stay_sharp()
@@ -494,8 +493,10 @@ class FIDE(Saved):
         """Train (line 8) and update the search distribution (line 10)."""
         state = self.state
         members, losses = state.population.close_generation()
-        samples, target = state.take_samples(), self.evaluator.tokens_at(state.scales.blur)
-        state.tell_hypotheses(self.evaluator.comparison)
+        samples, state.samples = sorted(state.samples, key=BY_INDEX), []
+        target = self.evaluator.tokens_at(state.scales.blur)
+        if state.kept is not None and self.evaluator.comparison is not None:
+            state.tell_hypotheses(state.kept, self.evaluator.comparison)
         if state.moves.stage is not Stage.SEARCH:
             state.finish_stage(members, losses, samples, target)
             return
@@ -504,19 +505,14 @@ class FIDE(Saved):
                 self._train(samples, target)  # line 8
         finally:  # a generation that taught nothing is not lost
             state.update_search(members, losses)  # line 10
-            self._decide(decision)
-
-    def _decide(self, decision: Decision) -> None:
-        """Go on with the search, or elsewhere where it is over."""
-        state, (over, guided) = self.state, decision
-        if guided is None:
-            guided = state.gate.guided
-        if state.begin_coarse(self.evaluator.target):
-            return
-        if over is None:
-            over = self.options.restarts != "none" and state.is_over(guided=guided)
-        if over:
-            state.finish_search(guided=self.options.restarts == "moves" and guided)
+            over, guided = decision  # go on with the search, or elsewhere where it is over
+            guided = state.gate.guided if guided is None else guided
+            if state.begin_coarse(self.evaluator.target):
+                over = False
+            elif over is None:
+                over = self.options.restarts != "none" and state.is_over(guided=guided)
+            if over:
+                state.finish_search(guided=self.options.restarts == "moves" and guided)
 
     def _train(self, samples: list[TrainingSample], target: Tensor) -> None:
         """Line 8: the proposer learns from what was evaluated since the last time."""
@@ -524,24 +520,13 @@ class FIDE(Saved):
         learned, state.learned = state.learned, []
         if state.proposer is None or not (samples or learned):
             return
-        everything = samples if not learned else in_order(samples + learned)
+        everything = sorted(samples + learned, key=BY_INDEX)
         if samples or state.gate.guarded:  # which judges the generation as a whole
             _, tokens, losses = columns(everything)
             state.gate.note_images(tokens, target, losses)
             del tokens
         if samples:
             state.proposer.update(*columns(samples), state.search.std)
-
-    def _train_early(self) -> None:
-        """Line 8, before the generation is complete, where each proposal is made when asked for."""
-        state, proposer = self.state, self.state.proposer
-        if proposer is None or not proposer.lazy:
-            return
-        if len(state.population.reserved) and state.samples:
-            samples = state.take_samples()
-            state.learned += samples
-            with timed(self.state.times, "train"):
-                proposer.update(*columns(samples), state.search.std)
 
     def recommend(self) -> Float64:
         """Mean (dim,) of the search distribution that found the best point (line 12).
@@ -550,7 +535,7 @@ class FIDE(Saved):
         """
         best = self.state.best
         mean = self.state.search.mean if best is None else best.mean
-        recommended: Float64 = self.state.search.render_mean(mean)
+        recommended: Float64 = self.axes.reflected(mean[None])[0]
         if best is None or self.validity is None or self.validity.allows(recommended):
             return recommended
         return best.solution.x.copy()
@@ -698,12 +683,6 @@ class FIDE(Saved):
         """Images told so far whose values went beyond black or white, and were clipped."""
         return self.state.clipping.images
 
-    @property
-    def features_shape(self) -> tuple[int, int]:
-        """(T, C) of the features of an image, see `tell`."""
-        tokens, channels = self.target_tokens.shape
-        return tokens, channels
-
     # -- where searches begin, and the next picture ------------------------------------------------
 
     def _model_of(self, learned: Any, views: Views) -> tuple[Model | None, Posterior | None]:
@@ -721,7 +700,7 @@ class FIDE(Saved):
     def random_point(self, number: int) -> Float64:
         """Random point (dim,) that may be rendered; the same for the same number, from 0."""
         rng = np.random.default_rng((self.seed, 3, number))
-        x: Float64 = self.state.search.clipped(rng.random((1, self.dim)))[0]
+        x: Float64 = self.axes.clipped(rng.random((1, self.dim)))[0]
         return x if self.validity is None else self.validity.start(x, number + 2)
 
     @one_at_a_time
@@ -795,7 +774,7 @@ class FIDE(Saved):
         state = self.state
         state.gate.note_known()
         state.steps = None
-        if not self.options.has_network:  # which keeps its weights
+        if self.options.proposer != "diffusion":  # which keeps its weights
             o, k = self.options, self.popsize
             state.proposer = make_proposer(o, self.dim, k, self.seed, self.encoder, learned=True)
 
@@ -860,9 +839,9 @@ class FIDE(Saved):
         self.evaluator = sized.comparing(state.pop("comparison"))
         try:
             fresh = self._initial_state()
-            (height, width, _), (tokens, channels) = self.views.target.shape, self.features_shape
-            sides = {"d": self.dim, "H": height, "W": width, "T": tokens, "C": channels}
-            fresh.load_state_dict(state, sides, self.encoder.device)
+            sides = dict(zip("HW", self.views.target.shape, strict=False), d=self.dim)
+            sides |= dict(zip("TC", self.target_tokens.shape, strict=True))
+            fresh.load_state_dict(state, {**sides, "device": self.encoder.device})
         except BaseException:
             self.evaluator = before
             raise

@@ -17,12 +17,12 @@ from fide_plugins import encoders
 from fide_plugins.errors import FideError, OptionError
 from fide_plugins.fitting.pictures import best_compared, counting, shown, side_by_side
 from fide_plugins.recording.directory import is_of_a_run, results_in
-from fide_plugins.recording.figures import GAIN, Panel, as_png, difference, result_figure, thumbnail
+from fide_plugins.recording.panels import GAIN, Panel, as_png, difference, thumbnail
 from fide_plugins.recording.parameters import ROUGH, described, is_rough, rows
 from fide_plugins.recording.record import Record, best_so_far
 from fide_plugins.recording.storage import RunDirectoryError, is_saved, read_run, with_optimizer
 from fide_plugins.renderers import naming
-from fide_plugins.runtime import checkpoint
+from fide_plugins.runtime import checkpoint, laboratory
 from fide_plugins.runtime.messages import cut
 from fide_plugins.validation.values import ValueRange
 
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
     from fide_plugins.fide import FIDE
     from fide_plugins.fitting.rendering import Failed
-    from fide_plugins.fitting.saved_run import Unsaved
     from fide_plugins.status import Status
     from fide_plugins.types import Float32, Float64, Indices, Solution
 
@@ -59,12 +58,12 @@ class Result:
     out: run directory; None without.
     optimizer: goes on where the fit has ended.
     cost: of all renders, in full ones, by pixels times samples; see `Fidelity`.
-    plan: three lines on how a fit with a `time` and a choice of sizes was to spend it; else none.
+    plan: two lines on how a fit with a `time` and a choice of sizes was to spend it; else none.
     std_renders: renders around the answer, beside the evaluations, from which `best.std` is
         computed; 0: it is rough, from samples of the search, or was read.
     value_range: values of target and images that are black and white; None: 0 and 1.
     compared: best image as it is compared, where that is another picture than `best.image`.
-    unsaved: what `save` writes, of a fit that has just ended.
+    unsaved: what `save` calls, of a fit that has just ended.
     """
 
     best: Solution | None
@@ -91,7 +90,7 @@ class Result:
     plan: tuple[str, ...] = ()
     clipped: int = 0
     value_range: tuple[float, float] | None = None
-    unsaved: Unsaved | None = None
+    unsaved: Callable[[str | os.PathLike[str]], None] | None = None
     rejected: float | None = None
     compared: Any = None
 
@@ -105,7 +104,9 @@ class Result:
 
         Views are side by side.  `figure.savefig(path)` writes it.
         """
-        return result_figure(self._panels(), self.losses, self.loss)
+        draw = laboratory.module("figures").result_figure
+        figure: Figure = draw(self._panels(), self.losses, self.loss)
+        return figure
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the run directory that `out` would have written: of this moment of the fit.
@@ -124,7 +125,7 @@ class Result:
                 if file.is_file() and not file.is_symlink():
                     shutil.copyfile(file, to / file.name)
         elif self.unsaved is not None:
-            self.unsaved.write(path)
+            self.unsaved(path)
         else:
             raise FideError("this result has neither a run directory nor an optimizer")
 

@@ -99,14 +99,13 @@ class LinearProposer(Proposer):
     lazy = True
 
     def __post_init__(self) -> None:
-        self.forget()
-
-    def forget(self) -> None:
         """Begin with an empty buffer: the ranks of another search say nothing about this one."""
         self._x: Float64 = np.empty((0, self.dim))
         self._losses: Float64 = np.empty(0)
         self._buffers = [FeatureBuffer(channels, self.select) for channels in self.channel_subsets]
         self._fits: dict[int, tuple[Float64, _Regression]] = {}  # of buffers, with their std
+
+    forget = __post_init__
 
     @property
     def ready(self) -> bool:
@@ -150,11 +149,12 @@ class LinearProposer(Proposer):
             if v not in self._fits or not np.array_equal(self._fits[v][0], std):
                 self._fits[v] = std.copy(), self._regress(buffer, ranks, std)
             fit, full = self._fits[v][1], self.r2_threshold
-            products = buffer.products(target, sources[mine])
+            wanted, products = buffer.toward(target)
+            products = products - buffer.gram[sources[mine]]  # (e* - e_i) . e_j, (m, n)
             deviations = products - (products @ fit.w)[:, None]
             u = (deviations * np.sqrt(fit.w)) @ fit.coefficients  # (e* - e_i) K
             if fit.slopes is not None:
-                u += buffer.missing(target, sources[mine]) @ fit.slopes
+                u += (wanted - buffer.features[sources[mine]]) @ fit.slopes
             correction[mine] = std * u
             if full:
                 trust[mine] = np.clip(fit.explained, 0.0, full) / full
@@ -198,7 +198,7 @@ class LinearProposer(Proposer):
         found = {"x": self._x, "losses": self._losses, "screening": self.screening}
         return found | {"buffers": buffers}
 
-    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
+    def load_state_dict(self, state: Plain, sides: Sides | None = None) -> None:
         """Put back what `state_dict` gave; ValueError if it is none."""
         self._fits = {}
         own = {"d": self.dim}

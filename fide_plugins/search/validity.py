@@ -8,7 +8,7 @@ import numpy as np
 
 from fide_plugins.errors import OptionError
 from fide_plugins.search.cma_es import CMAES
-from fide_plugins.search.mixed import Mixed, inside
+from fide_plugins.search.mixed import Axes
 from fide_plugins.space import Space
 from fide_plugins.space.constraints import constraints_not_stored, constraints_of
 from fide_plugins.types import Float64, Mask
@@ -24,9 +24,9 @@ _POPSIZE = 20
 
 
 def validity_of(
-    space: Space | None, function: object, seed: int, guess: Float64 | None
+    space: Space | None, function: object, seed: int, guess: Float64 | None, axes: Axes
 ) -> Validity | None:
-    """Which points a run may render; arguments as of `FIDE`.  None: all.
+    """Which points a run may render; arguments as of `FIDE`, axes: of the cube.  None: all.
 
     Raises OptionError (a ValueError), naming the constraints, if the guess (d,) is not valid.
     """
@@ -36,7 +36,7 @@ def validity_of(
     validity = Validity(
         constraints,
         constraints.explain,
-        inside if space is None else Mixed(space.layout).clipped,
+        axes.clipped,
         seed,
         is_known=function is not constraints_not_stored,
         is_own=function is not None,

@@ -18,11 +18,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from fide_lab.solutions import read
 from fide_plugins import FIDE, Solution, fit, images
 from fide_plugins.encoders.own import referenced
 from fide_plugins.errors import CheckpointError
 from fide_plugins.renderers import FunctionRenderer
-from fide_plugins.solutions import read
 
 from .conftest import fide, one_line
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from fide_lab import figures
 from fide_plugins import fit, load_run
-from fide_plugins.recording import figures
-from fide_plugins.recording.figures import Panel
+from fide_plugins.recording.panels import Panel
 
 _V, _U = np.mgrid[0:24, 0:24] / 23
 PHOTO = np.stack([0.2 + 0.5 * _U, 0.3 + 0.3 * _V, 0.6 - 0.3 * _U], axis=-1)

@@ -123,7 +123,8 @@ class Replica:
             proposer.update(*columns(state.samples), state.search.std)
         x, z = search.sample(1, rng)  # (1, d)
         index, proposed = state.population.drawn, False
-        if proposer is not None and proposer.ready and rng.random() < state.gate.proposed:
+        share = state.gate.fraction * state.gate.strength
+        if proposer is not None and proposer.ready and rng.random() < share:
             v, target = search.stretched(z), self.optimizer.target_tokens
             made = proposer.propose(v, target, search.mean, search.std, rng)
             x, proposed = search.place_proposals(made, z), True

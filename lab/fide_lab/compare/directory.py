@@ -22,7 +22,7 @@ from typing import Any, Literal
 from fide_lab.compare.plan import TARGETS, Checked, Plan, RunKey, target_file
 from fide_lab.run.kept_target import write_target
 from fide_plugins.recording.directory import TABLES, edited, file_of, results_in, versions_there
-from fide_plugins.recording.figures import as_png
+from fide_plugins.recording.panels import as_png
 from fide_plugins.recording.storage import (
     FORMAT,
     RunDirectoryError,

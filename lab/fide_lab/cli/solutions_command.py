@@ -16,8 +16,9 @@ import argparse
 import json
 from typing import Any
 
+from fide_lab.cli.running import write_figure
 from fide_plugins.cli.arguments import path, whole
-from fide_plugins.cli.terminal import USAGE_ERRORS, complain, number, plain, write_figure
+from fide_plugins.cli.terminal import USAGE_ERRORS, complain, number, plain
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
-    from fide_plugins import solutions
+    from fide_lab import solutions
     from fide_plugins.encoders.own import referenced
     from fide_plugins.recording.parameters import rows, solutions_as_data
 

@@ -1,38 +1,37 @@
-"""Images and figures of a run, as PNG bytes; no window, no global state of matplotlib."""
+"""Figures of runs by matplotlib, which the extra plot installs; no window, no global state."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fide_plugins.recording.record import RunResult, best_so_far
+from fide_plugins.recording.panels import GAIN, Panel, difference
+from fide_plugins.recording.record import Record, best_so_far
+from fide_plugins.runtime.machine import missing
 from fide_plugins.runtime.messages import counted
-from fide_plugins.runtime.plotting import new_figure
+from fide_plugins.space import Space
 from fide_plugins.types import Float32, Float64
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-THUMBNAIL = 160
-"""Longer side of a thumbnail, pixels."""
-
-GAIN = 4
-"""By how much a picture of a difference is stronger than the difference."""
 INK, MUTED, ACCENT = "#1a1a1a", "#8a8f98", "#c2410c"
 
 
-def as_png(image: Float32) -> bytes:
-    """PNG of an image (H, W, 3) in [0, 1]."""
-    from PIL import Image
-
-    buffer = io.BytesIO()
-    Image.fromarray(np.rint(image * 255.0).astype(np.uint8)).save(buffer, format="PNG")
-    return buffer.getvalue()
+def new_figure(width: float, height: float, *, dpi: int = 100, facecolor: str = "white") -> Figure:
+    """An empty figure, width and height in inches; DependencyError without matplotlib."""
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise missing("plot", "figures need matplotlib") from error
+    figure = Figure(figsize=(width, height), dpi=dpi, facecolor=facecolor)
+    FigureCanvasAgg(figure)
+    return figure
 
 
 def figure_as_png(figure: Any) -> bytes:
@@ -40,38 +39,6 @@ def figure_as_png(figure: Any) -> bytes:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": None})
     return buffer.getvalue()
-
-
-def thumbnail(image: Float32, side: int = THUMBNAIL) -> Float32:
-    """The image (H, W, 3), reduced if its longer side has more than `side` pixels."""
-    from fide_plugins.runtime.opencv import cv2
-
-    height, width = image.shape[:2]
-    scale = side / max(height, width)
-    if scale >= 1.0:
-        return image
-    size = max(1, round(width * scale)), max(1, round(height * scale))
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32)
-
-
-@dataclass(frozen=True, eq=False)
-class Panel:
-    """A picture (H, W, 3) in [0, 1] of a figure, with its name and a note."""
-
-    name: str
-    image: Float32
-    note: str = ""
-
-
-def difference(target: Float32, image: Float32, counts: Float32 | None = None) -> Float32:
-    """Absolute difference of two pictures (H, W, 3), `GAIN` times as strong, in [0, 1].
-
-    counts: (H, W), where it is 0 no difference is shown.
-    """
-    apart: Float32 = np.clip(GAIN * np.abs(target - image), 0, 1).astype(np.float32)
-    if counts is not None:
-        apart[np.asarray(counts) == 0] = 0
-    return apart
 
 
 def draw_image(axes: Any, panel: Panel) -> None:
@@ -134,28 +101,31 @@ def result_figure(panels: Sequence[Panel], losses: Float64, loss: str) -> Figure
     return figure
 
 
-def summary(result: RunResult, target: Float32, counts: Float32 | None = None) -> bytes:
-    """PNG with the target, the first render, the best image, what is left, and the losses.
+def summary(
+    settings: Mapping[str, Any],
+    record: Record,
+    target: Float32,
+    first: Float32 | None,
+    best: Float32 | None,
+    counts: Float32 | None = None,
+    more: Sequence[Panel] = (),
+) -> bytes:
+    """PNG of a run with these settings: target, first render, best image, what is left, losses.
 
-    counts: (H, W), weights of the pixels; None: all are alike.
+    counts: (H, W), weights of the pixels; None: all are alike.  more: further pictures.
     """
-    figure = result_figure(_panels(result, target, counts), result.losses, result.loss)
-    facts = f"{counted(result.parameters, 'parameter')}   {result.evaluations:,} renders"
-    title = f"{plain(result.task)}, fitted by {plain(result.optimizer)}"
-    seed = f"seed {result.seed}   {result.wall_s:.1f} s"
-    figure.suptitle(f"{title}   ({facts}   {seed})", fontsize=11, color=INK)
-    return figure_as_png(figure)
-
-
-def _panels(result: RunResult, target: Float32, counts: Float32 | None) -> list[Panel]:
-    best = result.image
     panels = [Panel("target", target)]
-    for name, image in (("first render", result.first_image), ("best", best)):
+    for name, image in (("first render", first), ("best", best)):
         if image is not None:
             squared = np.square(image.astype(np.float64) - target).mean(axis=-1)
             panels.append(Panel(name, image, f"MSE {np.average(squared, weights=counts):.3g}"))
     if best is not None:
         panels.append(Panel(f"{GAIN}x difference", difference(target, best, counts)))
-    if result.noisy and result.reference is not None:
-        panels.append(Panel("reference", result.reference, f"MSE {result.mse:.3g}"))
-    return panels
+    figure = result_figure([*panels, *more], np.array(record.losses), settings["loss"])
+    space = settings.get("space")
+    number = settings["dim"] if space is None else len(Space.from_dict(space).names)
+    facts = f"{counted(number, 'parameter')}   {record.evaluations:,} renders"
+    title = f"{plain(settings['task'])}, fitted by {plain(settings['optimizer'])}"
+    seed = f"seed {settings['seed']}   {record.wall_s:.1f} s"
+    figure.suptitle(f"{title}   ({facts}   {seed})", fontsize=11, color=INK)
+    return figure_as_png(figure)
