@@ -249,7 +249,7 @@ class FIDE(Saved):
             rest = population.remaining if n is None else n - len(steps)
             X = np.concatenate([steps, self._ask(rest)]) if rest else steps
             if len(steps):
-                self._hand_out_steps(steps)  # last: asking for the rest may fail
+                self.hand_out_steps(steps)  # last: asking for the rest may fail
             return X
 
     @one_at_a_time
@@ -258,7 +258,7 @@ class FIDE(Saved):
         """As `ask`, but between two generations one step alone: the next one knows its result."""
         with timed(self.state.times, "search"):
             if len(step := self.make_steps(1, self.state.rng)):
-                self._hand_out_steps(step)
+                self.hand_out_steps(step)
                 return step
         return self.ask()
 
@@ -393,7 +393,7 @@ class FIDE(Saved):
             x = steps.propose(v, target, search.mean, search.std, rng)
         return steps.new_ones(search.place_proposals(x, z), state.population.is_pending)
 
-    def _hand_out_steps(self, x: Float64) -> None:
+    def hand_out_steps(self, x: Float64) -> None:
         """Count steps (m, dim) as asked."""
         state = self.state
         assert state.steps is not None

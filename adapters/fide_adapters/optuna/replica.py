@@ -235,13 +235,9 @@ class Replica:
 
     def _expect_step(self, x: Float64) -> Role:
         """Expect a step x (d,), before a generation or beside it."""
-        state = self.optimizer.state
         if 0 not in self._batches:
             self.optimizer.make_steps(1, np.random.default_rng(0))  # as who asked for it
-        if state.steps is not None:
-            state.steps.taken(1)
-        z = state.search.closest(x[None])[0]
-        self._population.adopt(x, z, CandidateRole.STEP)
+        self.optimizer.hand_out_steps(x[None])
         return Role.STEP
 
     def _expect_member(self, slot: int) -> Float64:
