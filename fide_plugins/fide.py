@@ -416,9 +416,6 @@ class FIDE(Saved):
         X: object,
         images: object = None,
         losses: object = None,
-        *,
-        features: object = None,
-        version: str | None = None,
     ) -> Float64:
         """Report results, in any order and any number of pieces; returns their losses (n,).
 
@@ -433,11 +430,6 @@ class FIDE(Saved):
         losses
             (n,), the lower the better; None: the optimizer's own loss of the images.  Those that
             are NaN or infinite rank last and are counted in `not_finite`.
-        features
-            (n, T, C), in place of the images: their tokens by the optimizer's encoder; losses must
-            then be given.
-        version
-            of the encoder that made the features, which must be the optimizer's; None: you vouch.
 
         Points that were never asked (a warm start, a guess) are welcome: the proposer learns from
         them, they can become `best`, and the best of those told during a generation takes the place
@@ -446,20 +438,18 @@ class FIDE(Saved):
 
         Raises
         ------
-        PointsError, ImageError, LossError, FeaturesError
+        PointsError, ImageError, LossError
             all ValueErrors, before anything changes; of images also a ValueRangeError, if those
             told so far are on another scale than the target.
         """
         points = as_points(X, self.dim)
         n, evaluator, given = len(points), self.evaluator, losses is not None
         clipping = replace(self.state.clipping)  # a copy: the rest may fail
-        batch = evaluator.as_batch(n, images, losses, features, clipping)
+        batch = evaluator.as_batch(n, images, losses, clipping)
         with timed(self.state.times, "encode"):  # lines 7 and 9
             encode = self.state.proposer is not None and (given or not self.state.scales.blur)
-            results = evaluator.evaluate(
-                n, batch, losses, features,
-                version=version, encode=encode, note=self.state.needs_floor,
-            )  # fmt: skip
+            note = self.state.needs_floor
+            results = evaluator.evaluate(n, batch, losses, encode=encode, note=note)
         self.state.clipping = clipping
         if given and np.isfinite(results.losses).any():  # of a user: not at any blur
             self.state.stay_sharp()
@@ -693,12 +683,6 @@ class FIDE(Saved):
         """Images told so far whose values went beyond black or white, and were clipped."""
         return self.state.clipping.images
 
-    @property
-    def features_shape(self) -> tuple[int, int]:
-        """(T, C) of the features of an image, see `tell`."""
-        tokens, channels = self.target_tokens.shape
-        return tokens, channels
-
     # -- where searches begin, and the next picture ------------------------------------------------
 
     def _model_of(self, learned: Any, views: Views) -> tuple[Model | None, Posterior | None]:
@@ -855,9 +839,9 @@ class FIDE(Saved):
         self.evaluator = sized.comparing(state.pop("comparison"))
         try:
             fresh = self._initial_state()
-            (height, width, _), (tokens, channels) = self.views.target.shape, self.features_shape
-            sides = {"d": self.dim, "H": height, "W": width, "T": tokens, "C": channels}
-            fresh.load_state_dict(state, sides, self.encoder.device)
+            sides = dict(zip("HW", self.views.target.shape, strict=False), d=self.dim)
+            sides |= dict(zip("TC", self.target_tokens.shape, strict=True))
+            fresh.load_state_dict(state, {**sides, "device": self.encoder.device})
         except BaseException:
             self.evaluator = before
             raise

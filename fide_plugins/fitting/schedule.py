@@ -209,9 +209,8 @@ class Schedule:
     def _note_pair(self, first: float, outcome: Rendered) -> None:
         evaluator = self._optimizer.evaluator
         try:
-            batch = evaluator.as_batch(
-                1, as_told(self._optimizer, outcome.image), None, None, Clipping().note
-            )
+            told = as_told(self._optimizer, outcome.image)
+            batch = evaluator.as_batch(1, told, None, Clipping().note)
         except ImageError:
             return
         second = float(evaluator.evaluate(1, batch, encode=False).losses[0])

@@ -198,7 +198,7 @@ class LinearProposer(Proposer):
         found = {"x": self._x, "losses": self._losses, "screening": self.screening}
         return found | {"buffers": buffers}
 
-    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
+    def load_state_dict(self, state: Plain, sides: Sides | None = None) -> None:
         """Put back what `state_dict` gave; ValueError if it is none."""
         self._fits = {}
         own = {"d": self.dim}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Any, Final, TypeAlias
 
@@ -12,12 +12,9 @@ import numpy.typing as npt
 from fide_plugins.errors import ImageError, OptionError, ValueRangeError
 from fide_plugins.runtime.messages import warn_user
 from fide_plugins.runtime.schema import (
-    check,
     flag,
-    form,
     real,
     saved,
-    values as saved_values,
     whole,
 )
 from fide_plugins.types import Float32, Mask
@@ -213,16 +210,6 @@ class Clipping:
             )
         self.images, self.high, self.low = images, high, min(self.low, clip.low)
         self.lit, self.above, self.total = lit, above, total
-
-    def state_dict(self) -> dict[str, Any]:
-        """Everything."""
-        return saved_values(self)
-
-    @classmethod
-    def from_state(cls, state: Mapping[str, Any]) -> Clipping:
-        """What `state_dict` gave; raises ValueError for what it cannot have given."""
-        check(state, form(cls), {}, "clipping")
-        return cls(**state)
 
 
 def warn_clipped(clip: Clip) -> None:

@@ -67,7 +67,7 @@ def test_tokens_are_joined_along_T(name: str) -> None:
     of_a, of_b = FIDE(3, a[0], encoder=name).encoder, FIDE(3, b[0], encoder=name).encoder
     tokens = opt.encoder([a, b]).numpy()
     first = of_a.shape(32, 40)[0]
-    assert tokens.shape == (2, *opt.features_shape)
+    assert tokens.shape == (2, *opt.target_tokens.shape)
     np.testing.assert_array_equal(tokens[:, :first], of_a(a).numpy())
     np.testing.assert_array_equal(tokens[:, first:], of_b(b).numpy())
     np.testing.assert_array_equal(opt.target_tokens.numpy(), tokens[0])
