@@ -240,7 +240,7 @@ class FIDE(Saved):
         state, population = self.state, self.state.population
         n = None if n is None else whole_number("n", n, 1)
         with timed(state.times, "search"):
-            steps = np.empty((0, self.dim)) if n is None else self._make_steps(n)
+            steps = np.empty((0, self.dim)) if n is None else self.make_steps(n, state.rng)
             if not population.remaining and (n is None or n > len(steps)):
                 self.draw_generation()
             rest = population.remaining if n is None else n - len(steps)
@@ -260,7 +260,7 @@ class FIDE(Saved):
                     self._make_next(rest - i)
                 X[i] = population.hand_out().x
             if len(steps):
-                self._hand_out_steps(steps)  # last: asking for the rest may fail
+                self.hand_out_steps(steps)  # last: asking for the rest may fail
             return np.concatenate([steps, X])
 
     @one_at_a_time
@@ -268,8 +268,8 @@ class FIDE(Saved):
     def ask_ready(self) -> Float64:
         """As `ask`, but between two generations one step alone: the next one knows its result."""
         with timed(self.state.times, "search"):
-            if len(step := self._make_steps(1)):
-                self._hand_out_steps(step)
+            if len(step := self.make_steps(1, self.state.rng)):
+                self.hand_out_steps(step)
                 return step
         return self.ask()
 
@@ -366,8 +366,8 @@ class FIDE(Saved):
                 population.replace(needed, x, z, proposed)
         self.make_proposals(population, state.rng, n)
 
-    def _make_steps(self, n: int) -> Float64:
-        """Steps (m, dim) that come before the next generation, at most n."""
+    def make_steps(self, n: int, rng: np.random.Generator) -> Float64:
+        """Steps (m, dim) that come before the next generation, at most n, by `rng`."""
         state, search, steps = self.state, self.state.search, self.state.steps
         none = np.empty((0, self.dim))
         between = state.moves.stage is Stage.SEARCH and not state.population.remaining
@@ -378,12 +378,12 @@ class FIDE(Saved):
             left = steps.left(search.popsize, target, search.std)
             if not left:
                 return none
-            _, z = search.sample(min(n, left), state.rng)
+            _, z = search.sample(min(n, left), rng)
             v = search.stretched(z)
-            x = steps.propose(v, target, search.mean, search.std, state.rng)
+            x = steps.propose(v, target, search.mean, search.std, rng)
         return steps.new_ones(search.place_proposals(x, z), state.population.is_pending)
 
-    def _hand_out_steps(self, x: Float64) -> None:
+    def hand_out_steps(self, x: Float64) -> None:
         """Count steps (m, dim) as asked."""
         state = self.state
         assert state.steps is not None

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from fide_plugins.errors import CheckpointError, DependencyError
-from fide_plugins.recording.panels import as_png
 from fide_plugins.recording.record import Record, best_so_far
 from fide_plugins.recording.storage import (
     CHECKPOINT,
@@ -233,12 +232,11 @@ class RunDirectory:
 
     def write_image(self, name: str, image: Float32 | None, values: Float32 | None = None) -> None:
         """Write a picture, and its values where they are not in [0, 1]."""
-        if values is not None:
-            from fide_plugins.validation.image_files import encoded
+        from fide_plugins.validation.image_files import encoded
 
-            files.write_bytes(self.path / f"{name}.tif", encoded(values, ".tif"))
-        if image is not None:
-            files.write_bytes(self.path / f"{name}.png", as_png(image))
+        for kind, pixels in ((".tif", values), (".png", image)):
+            if pixels is not None:
+                files.write_bytes(self.path / f"{name}{kind}", encoded(pixels, kind))
 
     def write_summary(self, record: Record, *pictures: Float32 | None, **more: Any) -> None:
         """Write `summary.png`; pictures, more: as for `fide_lab.figures.summary`.

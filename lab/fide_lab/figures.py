@@ -1,23 +1,66 @@
-"""Figures of runs by matplotlib, which the extra plot installs; no window, no global state."""
+"""Figures of runs by matplotlib, which the extra plot installs, and HTML; no window, no state."""
 
 from __future__ import annotations
 
 import io
+from base64 import b64encode
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
+from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fide_plugins.recording.panels import GAIN, Panel, difference
+from fide_plugins.fitting.pictures import counting, side_by_side
+from fide_plugins.fitting.result import Result
+from fide_plugins.recording.parameters import ROUGH, is_rough, rows
 from fide_plugins.recording.record import Record, best_so_far
 from fide_plugins.runtime.machine import missing
 from fide_plugins.runtime.messages import counted
 from fide_plugins.space import Space
 from fide_plugins.types import Float32, Float64
+from fide_plugins.validation.image_files import encoded
+from fide_plugins.validation.values import ValueRange
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+THUMBNAIL = 160
+"""Longer side of a thumbnail, pixels."""
+
+GAIN = 4
+"""By how much a picture of a difference is stronger than the difference."""
+
+
+def thumbnail(image: Float32, side: int = THUMBNAIL) -> Float32:
+    """The image (H, W, 3), reduced if its longer side has more than `side` pixels."""
+    from fide_plugins.runtime.opencv import cv2
+
+    height, width = image.shape[:2]
+    scale = side / max(height, width)
+    if scale >= 1.0:
+        return image
+    size = max(1, round(width * scale)), max(1, round(height * scale))
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """A picture (H, W, 3) in [0, 1] of a figure, with its name and a note."""
+
+    name: str
+    image: Float32
+    note: str = ""
+
+
+def difference(target: Float32, image: Float32, counts: Float32 | None = None) -> Float32:
+    """Difference of two pictures (H, W, 3), `GAIN` times as strong, where `counts` is not 0."""
+    apart: Float32 = np.clip(GAIN * np.abs(target - image), 0, 1).astype(np.float32)
+    if counts is not None:
+        apart[np.asarray(counts) == 0] = 0
+    return apart
+
 
 INK, MUTED, ACCENT = "#1a1a1a", "#8a8f98", "#c2410c"
 
@@ -129,3 +172,65 @@ def summary(
     seed = f"seed {settings['seed']}   {record.wall_s:.1f} s"
     figure.suptitle(f"{title}   ({facts}   {seed})", fontsize=11, color=INK)
     return figure_as_png(figure)
+
+
+# -- what a fit has found --------------------------------------------------------------------------
+
+
+def of_result(result: Result) -> Figure:
+    """Figure of target, best image, difference, losses."""
+    return result_figure(_panels_of(result), result.losses, result.loss)
+
+
+def html_of(result: Result) -> str:
+    """HTML of what a fit has found: status, pictures, and parameters in their units."""
+    best, table = result.best, rows([] if result.best is None else [result.best])
+    lines = [
+        [row.name, row.values[0], row.unit, "" if row.determined else "not determined"]
+        for row in table[:_MOST]
+    ]
+    cells = "".join(
+        f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in line)}</tr>" for line in lines
+    )
+    more = f"<p>... {len(table) - _MOST} more</p>" if len(table) > _MOST else ""
+    more += f"<p>{ROUGH}</p>" if best is not None and is_rough(best) else ""
+    return (
+        f"<div><p><b>{escape(str(result.status))}</b><br>{escape(result.facts)}</p>"
+        '<div style="display:flex;flex-wrap:wrap;gap:8px;align-items:flex-end">'
+        f"{''.join(map(_picture, _panels_of(result)))}</div><table>{cells}</table>{more}</div>"
+    )
+
+
+def _shown(result: Result, image: Any) -> Float32:
+    if result.value_range is None:
+        return side_by_side(image)
+    values = ValueRange(*result.value_range)
+    listed = image if isinstance(image, list) else [image]
+    return side_by_side([np.clip(values.scaled(one), 0.0, 1.0) for one in listed])
+
+
+def _panels_of(result: Result) -> list[Panel]:
+    target = _shown(result, result.target)
+    panels = [Panel("target", target)]
+    if result.best is not None and result.best.image is not None:
+        image = _shown(result, result.best.image if result.compared is None else result.compared)
+        apart = difference(target, image, counting(result.weights, result.target))
+        panels += [Panel("best", image), Panel(f"{GAIN}x difference", apart)]
+    return panels
+
+
+_SIDE, _WIDE = 160, 480  # pixels of a picture: its longer side; of several views side by side
+_MOST = 40  # parameters
+
+
+def _picture(panel: Panel) -> str:
+    height, breadth = panel.image.shape[:2]
+    side = _WIDE if breadth > 2 * height else _SIDE
+    shown = round(side * breadth / max(height, breadth))
+    source = b64encode(encoded(thumbnail(panel.image, side), ".png")).decode()
+    name = escape(panel.name)
+    return (
+        f'<figure style="margin:0"><figcaption>{name}</figcaption><img alt="{name}" '
+        f'src="data:image/png;base64,{source}" '
+        f'style="width:{shown}px;image-rendering:pixelated"></figure>'
+    )

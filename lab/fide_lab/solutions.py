@@ -13,6 +13,7 @@ import numpy as np
 from fide_lab.figures import (
     INK,
     MUTED,
+    Panel,
     draw_image,
     figure_as_png,
     new_figure,
@@ -21,7 +22,6 @@ from fide_lab.figures import (
 from fide_plugins.errors import CheckpointError
 from fide_plugins.fitting.pictures import best_compared, picture, side_by_side
 from fide_plugins.fitting.result import opened
-from fide_plugins.recording.panels import Panel
 from fide_plugins.recording.parameters import rows, with_std
 from fide_plugins.recording.storage import SOLUTIONS, RunDirectoryError, impossible
 from fide_plugins.runtime import checkpoint

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from fide_lab.figures import Panel
 from fide_lab.run.foreign import ERROR, Foreign
 from fide_lab.run.result import RunResult, Verdict, result_of
 from fide_lab.run.task import Task, TaskInfo
@@ -26,7 +27,6 @@ from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers import InThisProcess
 from fide_plugins.losses.base import ImageLoss
 from fide_plugins.recording.directory import RunDirectory, note_unsaved
-from fide_plugins.recording.panels import Panel
 from fide_plugins.recording.record import Progress, Record, Report
 from fide_plugins.recording.signals import Interrupted, Interrupts
 from fide_plugins.recording.storage import CHECKPOINT, TARGET_FILE
