@@ -18,7 +18,7 @@ CORE := $(addprefix tests/,adapters/optuna denoiser encoders fide losses options
   search space speed uncertainty validation views)
 # of `wheel`: all that a user starts, which finds out whether a file or an entry point is missing
 OUTSIDE := $(addprefix tests/,adapters cli fide fitting lab/compare lab/report lab/run lab/suite lab/sweep learning losses package \
-  recording renderers tasks/test_contract.py watch)
+  recording renderers tasks/test_contract.py lab/watch)
 # as an x86 CPU without AVX-512, and as one without AVX2
 HASWELL := OPENBLAS_CORETYPE=Haswell ATEN_CPU_CAPABILITY=avx2 \
   NPY_DISABLE_CPU_FEATURES="X86_V4 AVX512_ICL AVX512_SPR"

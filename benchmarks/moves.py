@@ -6,13 +6,16 @@
 Every run (scene, target, seed, configuration) is one line of the output file, appended when it is
 done; a second call does what is missing. A run ends when its scene is solved or its budget spent.
 A configuration is an optimizer with options, `--configuration NAME OPTIMIZER key=value ...`.
-`results/coarse.jsonl` has FIDE with and without coarse to fine.
+`results/coarse.jsonl` has FIDE with and without coarse to fine, `results/many.jsonl` rivals where
+there are 160 parameters and more.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import resource
+import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -56,6 +59,8 @@ SCENES = {
     "robot": Scene("robot", {}, 2e-5, 5000),
     "spline": Scene("spline", {"target": "random"}, 1e-3, 5000),
     "two_cells": Scene("voronoi", {"variant": "distance"}, 1e-6, 2000),
+    "triangles30": Scene("triangles", {"triangles": 30}, 1e-3, 5000, 64),
+    "triangles100": Scene("triangles", {"triangles": 100}, 1e-3, 5000, 64),
     "sheets": Scene("sheets", {}, 1e-4, 4000),
     "lamps": Scene("lamps", {}, 1e-5, 5000, 64),
     "sprites": Scene("sprites", {}, 1e-3, 5000, 64),
@@ -136,10 +141,12 @@ def run(planned_run: Row, optimizer: str, options: dict[str, Any]) -> Row:
     scene = SCENES[planned_run["scene"]]
     dim, target, render = make(scene, planned_run["size"], planned_run["target"])
     opt = optimizers.make(optimizer, dim, target, seed=planned_run["seed"], **options)
-    best, solved_at = np.inf, None
+    best, solved_at, seconds = np.inf, None, 0.0
     marks: dict[str, float] = {}
     while opt.evaluations < planned_run["budget"] and solved_at is None:
+        began = time.process_time()
         X = opt.ask_ready()  # as the run loop does: steps come one at a time
+        seconds += time.process_time() - began
         images = render(X)
         losses = np.square(images - target, dtype=np.float64).mean(axis=(1, 2, 3))
         left = planned_run["budget"] - opt.evaluations  # the last generation may go beyond it
@@ -148,14 +155,20 @@ def run(planned_run: Row, optimizer: str, options: dict[str, Any]) -> Row:
             marks |= {str(i): best} if i in MARKS else {}
             solved_at = i if solved_at is None and best <= scene.solved else solved_at
         # FIDE compares images itself, as in `fit`: told losses would keep it from blurring them.
+        began = time.process_time()
         opt.tell(X, images, *([] if isinstance(opt, FIDE) else [losses]))
+        seconds += time.process_time() - began
+    believed = float(np.square(render(opt.recommend()[None])[0] - target).mean())
     times = {name: round(1e3 * s / opt.evaluations, 3) for name, s in opt.times.items()}
     return {
         **planned_run,
         "solved_at": solved_at,
         "best": best,
         "marks": marks,
+        "recommended": believed,
         "overhead_ms": times,
+        "cpu_ms": round(1e3 * seconds / opt.evaluations, 3),
+        "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024,  # of the process
     }
 
 

@@ -18,7 +18,8 @@ from textwrap import wrap
 ROOT = Path(__file__).resolve().parent.parent
 PICTURE = ROOT / "docs/images/rooms.svg"
 CUT = {("learning", "fitting")}
-WITHOUT = {"errors", "types", "baselines", "experiments", "optimizers", "__init__", "__main__"}
+OLD_NAMES = {"baselines", "experiments", "optimizers", "watch"}
+WITHOUT = {"errors", "types", "__init__", "__main__"} | OLD_NAMES
 WIDTH, HEIGHT, GAP, LETTERS = 250, 52, 8, 42  # of a room, in pixels; of a line of its text
 TOPS = (
     ("adapters/fide_adapters", "fide_adapters"),

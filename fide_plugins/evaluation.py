@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -14,9 +14,9 @@ import torch
 from fide_plugins import encoders, losses as named_losses
 from fide_plugins.comparison.comparison import Comparison, checked
 from fide_plugins.comparison.coverage import with_coverage, without_coverage
-from fide_plugins.encoders.base import PatchEncoder, as_features
+from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.encoders.own import OwnEncoder, check_encoder
-from fide_plugins.errors import CheckpointError, FeaturesError, LossError, OptionError
+from fide_plugins.errors import CheckpointError, LossError, OptionError
 from fide_plugins.losses.base import (
     CallableLoss,
     ImageLoss,
@@ -25,6 +25,7 @@ from fide_plugins.losses.base import (
     check_loss,
     loss_not_stored,
 )
+from fide_plugins.options import Options
 from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.devices import resolve_device
 from fide_plugins.runtime.registry import name_of
@@ -74,8 +75,8 @@ class Evaluator:
     encoder: name, an encoder that `encoders.make` made, or any callable of a batch; see
         `fide_plugins.encoders`.  A callable is tried on the target first.
     device: of both where they are given by name; "auto" takes CUDA where there is some, for an
-        encoder only if it is a network, or if `for_network`.
-    photometric, robust, background, photo: see `options.Options`.
+        encoder only if it is a network, or if the proposer is one.
+    options: how images are compared; None: as they are by default.
 
     comparison: how renders are compared that did not make the target; None: as they are.
 
@@ -92,12 +93,10 @@ class Evaluator:
         weights: object = None,
         value_range: object = None,
         device: str = "auto",
-        for_network: bool = False,
-        photometric: str | None = None,
-        robust: float | str | None = None,
-        background: str | None = None,
-        photo: bool = False,
+        options: Options | None = None,
     ) -> None:
+        o = options or Options()
+        for_network, photo = o.proposer == "diffusion", o.photo
         self._device = device
         self.views = Views.read(target, mask, weights, value_range)
         self.full = self.views
@@ -116,15 +115,18 @@ class Evaluator:
         self.encoder = encoder_of(self.views, encoder)
         self._how: dict[str, Any] = {}
         self._blurred: dict[float, torch.Tensor] = {}  # tokens of the target, by the blur
-        self._photo, self._auto = photo, photometric == "auto" or (photo and photometric is None)
+        self._photo = photo
+        self._compared = self._compared_by()
+        """A comparison, also where renders are compared as they are."""
+        self._auto = o.photometric == "auto" or (photo and o.photometric is None)
         self.comparison: Comparison | None = None
-        if photo or not (photometric is None and robust is None and background is None):
+        if photo or o.photometric or o.robust or o.background:
             self._how = {
-                "light": "none" if photometric in (None, "auto") else photometric,
-                "scale": robust if robust or not photo else "auto",
-                "background": photo or background is not None,
+                "light": "none" if o.photometric in (None, "auto") else o.photometric,
+                "scale": o.robust if o.robust or not photo else "auto",
+                "background": photo or o.background is not None,
             }
-            self.comparison = self._compared_by(**self._how)
+            self.comparison = self._compared = self._compared_by(**self._how)
         self.target_tokens = self.encoder.compute(self.target[None])[0]  # (T, C)
 
     def _compared_by(self, **how: Any) -> Comparison:
@@ -143,18 +145,13 @@ class Evaluator:
         """Whether they say by how much the target is softer than renders."""
         return self._photo and getattr(self.loss, "of_places", True)
 
-    def _copy(self) -> Evaluator:
-        other = copy.copy(self)
-        other.__dict__.pop("_compared", None)
-        other._blurred = {}
-        return other
-
     def comparing(self, state: Mapping[str, Any] | None) -> Evaluator:
         """The same that compares as a `comparison.state_dict` said; ValueError if it is none."""
         if state is None:
             return self
-        other = self._copy()
-        other.comparison = other._compared_by(**{**self._how, **checked(state, self.views)})
+        other, how = copy.copy(self), {**self._how, **checked(state, self.views)}
+        other._blurred = {}
+        other.comparison = other._compared = other._compared_by(**how)
         other.target_tokens = other.encoder.compute(other.comparison.at().views.target[None])[0]
         return other
 
@@ -162,7 +159,7 @@ class Evaluator:
         """Images as they are compared, in the user's values; images: as `FIDE.tell` takes them."""
         several = images[0] if self.views.listed and isinstance(images, list | tuple) else images
         n = len(several) if hasattr(several, "__len__") else 0
-        batch = self.as_batch(n, images, np.zeros(n), None, Clipping().note)
+        batch = self.as_batch(n, images, np.zeros(n), Clipping().note)
         assert batch is not None  # images were given
         shown = batch
         if self.comparison is not None:
@@ -234,14 +231,15 @@ class Evaluator:
         return other
 
     def _with(self, views: Views, loss: str | Callable[..., object] | None) -> Evaluator:
-        other = self._copy()
+        other = copy.copy(self)
         other.views, other.target = views, views.target
         other.full, other.size, other._small = views, None, None
         other.loss = loss_of(views, loss, device=self._device)
         other.encoder = encoder_of(views, self.encoder)
+        other._blurred, other._compared = {}, other._compared_by()
         if self.comparison is not None:
             options = {**self.comparison.options, "camera": 0.0}  # of other pixels
-            other.comparison = other._compared_by(**options)
+            other.comparison = other._compared = other._compared_by(**options)
         shown = other.target if other.comparison is None else other.comparison.at().views.target
         other.target_tokens = other.encoder.compute(shown[None])[0]  # (T, C)
         return other
@@ -264,19 +262,15 @@ class Evaluator:
                 f"{checkpoint.VERSION_REMEDY}, or start again"
             )
 
-    def as_batch(
-        self, n: int, images: object, losses: object, features: object, on_clip: OnClip
-    ) -> Float32 | None:
+    def as_batch(self, n: int, images: object, losses: object, on_clip: OnClip) -> Float32 | None:
         """Images of n candidates, (n, H, W, 3), packed if there are several views, or None.
 
         With a fourth channel, the coverage, where renders have one and it is used.
 
-        Raises LossError or FeaturesError where what is given contradicts itself, or ImageError.
+        Raises LossError if neither images nor losses are given, or ImageError.
         """
         if images is None and losses is None:
             raise LossError("tell needs images, losses, or both; got neither")
-        if images is not None and features is not None:
-            raise FeaturesError("tell takes images or their features, not both")
         if images is None:
             return None
         if self.comparison is None or not self.comparison.background:
@@ -304,20 +298,19 @@ class Evaluator:
         n: int,
         batch: Float32 | None,
         losses: object = None,
-        features: object = None,
+        features: torch.Tensor | None = None,
         *,
-        version: str | None = None,
         encode: bool = True,
         note: bool = False,
     ) -> Evaluation:
         """Losses and tokens of n candidates with images (n, H, W, 3).
 
         losses: (n,), in place of the loss of the images.
-        features: (n, T, C), in place of the tokens of the images; version: of their encoder.
+        features: (n, T, C), tokens where there are no images.
         encode: whether tokens are needed at all.
         note: whether the comparison notes what no candidate removes, see `Comparison.floor`.
 
-        Raises LossError or FeaturesError.
+        Raises LossError.
         """
         told = batch
         if batch is None and losses is None:
@@ -332,10 +325,8 @@ class Evaluator:
             values = self.loss.compute(batch)
         if encode and shown is not None:
             tokens = self.encoder.compute(shown)
-        if features is not None:
-            shape = (n, *self.target_tokens.shape)
-            taken = as_features(features, shape, self.encoder, version=version)
-            tokens = taken if encode else None
+        if encode and features is not None:
+            tokens = features.to(self.encoder.device)
         assert values is not None
         if note and shown is not None and self.comparison is not None:
             self.comparison.note(shown)
@@ -364,11 +355,6 @@ class Evaluator:
             shown = self._compared.at(blur).views.target
             self._blurred[blur] = self.encoder.compute(shown[None])[0]
         return self._blurred[blur]
-
-    @cached_property
-    def _compared(self) -> Comparison:
-        """A comparison, also where renders are compared as they are."""
-        return self._compared_by() if self.comparison is None else self.comparison
 
 
 # -- loss and encoder of several views, or of the pixels that count --------------------------------

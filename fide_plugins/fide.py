@@ -19,12 +19,11 @@ from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.evaluation import Evaluation, Evaluator, loss_of
 from fide_plugins.options import Options, make_options
 from fide_plugins.population import (
+    BY_INDEX,
     CandidateRole,
     Memory,
     Population,
-    TrainingSample,
     columns,
-    in_order,
 )
 from fide_plugins.proposers import make_proposer, make_steps
 from fide_plugins.proposers.image_gate import ImageGate
@@ -34,6 +33,7 @@ from fide_plugins.runtime.schema import array, check, each, maybe, whole
 from fide_plugins.runtime.threads import Lock, one_at_a_time, one_thread, timed
 from fide_plugins.saving import Saved
 from fide_plugins.search.cma_es import default_popsize
+from fide_plugins.search.mixed import Axes
 from fide_plugins.search.moves import Stage
 from fide_plugins.search.one_search import Search, Setting
 from fide_plugins.search.policy import MovePolicy
@@ -156,11 +156,12 @@ class FIDE(Saved):
         self.guess = None if x0 is None else self.x0
         self.sigma0, self.seed = standard_deviations(sigma0, self.dim), new_seed(seed)
         self.popsize = o.popsize or default_popsize(self.dim)
+        self.axes = Axes(self.dim, None if self.space is None else self.space.layout)
         self.validity: Validity | None = None
         if constraints is not None or (self.space is not None and self.space.constraints):
             from fide_plugins.search.validity import validity_of
 
-            self.validity = validity_of(self.space, constraints, self.seed, self.guess)
+            self.validity = validity_of(self.space, constraints, self.seed, self.guess, self.axes)
         self.has_own_constraints = constraints is not None
         self.evaluator = Evaluator(
             target,
@@ -170,8 +171,7 @@ class FIDE(Saved):
             weights=weights,
             value_range=value_range,
             device=device,
-            for_network=o.has_network,
-            **o.comparison,
+            options=o,
         )
         self.same_images, self._lock = SameImages(self.popsize), Lock()
         model, posterior = (None, None) if learned is None else self._model_of(learned, self.views)
@@ -185,8 +185,7 @@ class FIDE(Saved):
         o, k, learned = self.options, self.popsize, posterior is not None
         views, encoder = self.evaluator.views, self.evaluator.encoder
         subsets = o.channel_subsets or encoder.channel_subsets
-        layout = None if self.space is None else self.space.layout
-        setting = Setting(k, np.broadcast_to(self.sigma0, self.dim), o, layout, self.validity)
+        setting = Setting(k, np.broadcast_to(self.sigma0, self.dim), o, self.axes, self.validity)
         groups: Sequence[Sequence[int]] | None = o.groups
         if groups is None and self.space is not None:
             groups = self.space.largest_family or None  # if there is none, they are tested for
@@ -194,10 +193,11 @@ class FIDE(Saved):
         guessed = self.guess is not None and bool(np.max(self.sigma0) <= _ROUGHLY)
         moves = MovePolicy(
             self.x0, setting.sigma0, popsize=k, target=self.evaluator.target_tokens,
-            channels=subsets[0], seed=self.seed, groups=groups, layout=layout, posterior=posterior,
+            channels=subsets[0], seed=self.seed, groups=groups, axes=self.axes, posterior=posterior,
             descends=o.photo and follows and (learned or guessed),
         )  # fmt: skip
-        moves.start = setting.valid_start(moves.start, 1)
+        if self.validity is not None:
+            moves.start = replace(moves.start, mean=self.validity.start(moves.start.mean, 1))
         side = min(min(view.size) for view in views.views)
         may_blur = follows and o.coarse_to_fine is not False and bool(self.evaluator.loss.spec)
         scales = ScaleSpace(
@@ -237,45 +237,41 @@ class FIDE(Saved):
         generation, candidates are drawn for the next one (`State.preview_search`).
         Who asks for a number may get Gauss-Newton steps before a generation (`proposers.forward`).
         """
-        population = self.state.population
+        state, population = self.state, self.state.population
         n = None if n is None else whole_number("n", n, 1)
-        with timed(self.state.times, "search"):
-            steps = np.empty((0, self.dim))
-            if n is not None:
-                steps = self._make_steps(n)
-            elif not population.remaining:
+        with timed(state.times, "search"):
+            steps = np.empty((0, self.dim)) if n is None else self.make_steps(n, state.rng)
+            if not population.remaining and (n is None or n > len(steps)):
                 self.draw_generation()
             rest = population.remaining if n is None else n - len(steps)
-            X = np.concatenate([steps, self._ask(rest)]) if rest else steps
+            proposer, due = state.proposer, len(population.reserved) and state.samples
+            lazy = proposer is not None and proposer.lazy and rest > len(population.queue)
+            if proposer is not None and lazy and due:  # line 8, before it is asked
+                samples, state.samples = sorted(state.samples, key=BY_INDEX), []
+                state.learned += samples
+                with timed(state.times, "train"):
+                    proposer.update(*columns(samples), state.search.std)
+            if rest:
+                self._make_next(rest)  # which may fail, before anything is handed out
+            X = np.empty((rest, self.dim))
+            for i in range(rest):
+                if not population.remaining:
+                    self.draw_generation()
+                    self._make_next(rest - i)
+                X[i] = population.hand_out().x
             if len(steps):
-                self._hand_out_steps(steps)  # last: asking for the rest may fail
-            return X
+                self.hand_out_steps(steps)  # last: asking for the rest may fail
+            return np.concatenate([steps, X])
 
     @one_at_a_time
     @one_thread
     def ask_ready(self) -> Float64:
         """As `ask`, but between two generations one step alone: the next one knows its result."""
         with timed(self.state.times, "search"):
-            if len(step := self._make_steps(1)):
-                self._hand_out_steps(step)
+            if len(step := self.make_steps(1, self.state.rng)):
+                self.hand_out_steps(step)
                 return step
         return self.ask()
-
-    def _ask(self, n: int) -> Float64:
-        """Candidates (n, d) of this generation and of those that follow."""
-        population = self.state.population
-        if not population.remaining:
-            self.draw_generation()
-        if n > len(population.queue):
-            self._train_early()
-        self._make_next(n)  # which may fail, before anything is handed out
-        X = np.empty((n, self.dim))
-        for i in range(n):
-            if not population.remaining:
-                self.draw_generation()
-                self._make_next(n - i)
-            X[i] = population.hand_out().x
-        return X
 
     def draw_generation(self, first: Float64 | None = None) -> None:
         """Queue a generation; spare candidates where the present one needs exactly its own.
@@ -287,7 +283,8 @@ class FIDE(Saved):
         begins = not population.size and state.moves.stage is not Stage.DESCENT  # around the guess
         if first is None and begins and self.guess is not None:
             first = self.guess[None]
-        if state.generation_is_fixed and population.has_begun:
+        begun = population.pending or population.told or population.withdrawn
+        if state.generation_is_fixed and begun:
             # as many as it has, or, if nothing is pending, as many as it lacks
             n = population.size if population.pending else max(1, population.missing)
             x, _ = state.search.sample(n, state.rng)
@@ -295,14 +292,14 @@ class FIDE(Saved):
         elif first is None or searching:
             self.draw(population, state.rng)
         else:  # hypotheses of a model, which all are asked, too
-            x = np.concatenate([state.search.clipped(first), state.draw_moves(state.rng)])
+            x = np.concatenate([self.axes.clipped(first), state.draw_moves(state.rng)])
             population.draw(x, x)
         if state.steps is not None:
-            state.steps.end()  # they come before a generation, not in it
+            state.steps.due, state.steps.remaining = False, 0  # they come before it, not in it
         if state.proposer is not None and not state.proposer.lazy:
             self.make_proposals(population, state.rng)
         if first is not None and searching:  # in the place of its first samples
-            x = state.search.clipped(first)[: population.remaining]
+            x = self.axes.clipped(first)[: population.remaining]
             population.replace(0, x, state.search.closest(x), proposed=np.zeros(len(x), bool))
 
     def draw(self, population: Population, rng: np.random.Generator) -> None:
@@ -361,14 +358,16 @@ class FIDE(Saved):
             if search is not None:
                 self.make_proposals(population, state.rng, needed)
                 x, z = search.sample(m, state.rng)  # (m, d)
-                proposed = population.proposed(needed, m)
+                made = [one.proposed for one in population.queue]
+                made += [True] * len(population.reserved)
+                proposed = np.array(made[needed : needed + m], bool)
                 if proposed.any():
                     x[proposed], z[proposed] = self._propose(z[proposed], search, state.rng)
                 population.replace(needed, x, z, proposed)
         self.make_proposals(population, state.rng, n)
 
-    def _make_steps(self, n: int) -> Float64:
-        """Steps (m, dim) that come before the next generation, at most n."""
+    def make_steps(self, n: int, rng: np.random.Generator) -> Float64:
+        """Steps (m, dim) that come before the next generation, at most n, by `rng`."""
         state, search, steps = self.state, self.state.search, self.state.steps
         none = np.empty((0, self.dim))
         between = state.moves.stage is Stage.SEARCH and not state.population.remaining
@@ -379,16 +378,16 @@ class FIDE(Saved):
             left = steps.left(search.popsize, target, search.std)
             if not left:
                 return none
-            _, z = search.sample(min(n, left), state.rng)
+            _, z = search.sample(min(n, left), rng)
             v = search.stretched(z)
-            x = steps.propose(v, target, search.mean, search.std, state.rng)
+            x = steps.propose(v, target, search.mean, search.std, rng)
         return steps.new_ones(search.place_proposals(x, z), state.population.is_pending)
 
-    def _hand_out_steps(self, x: Float64) -> None:
+    def hand_out_steps(self, x: Float64) -> None:
         """Count steps (m, dim) as asked."""
         state = self.state
         assert state.steps is not None
-        state.steps.taken(len(x))
+        state.steps.remaining = max(0, state.steps.remaining - len(x))
         for row in zip(x, state.search.closest(x), strict=True):
             state.population.adopt(*row, CandidateRole.STEP)
 
@@ -407,9 +406,6 @@ class FIDE(Saved):
         X: object,
         images: object = None,
         losses: object = None,
-        *,
-        features: object = None,
-        version: str | None = None,
     ) -> Float64:
         """Report results, in any order and any number of pieces; returns their losses (n,).
 
@@ -424,11 +420,6 @@ class FIDE(Saved):
         losses
             (n,), the lower the better; None: the optimizer's own loss of the images.  Those that
             are NaN or infinite rank last and are counted in `not_finite`.
-        features
-            (n, T, C), in place of the images: their tokens by the optimizer's encoder; losses must
-            then be given.
-        version
-            of the encoder that made the features, which must be the optimizer's; None: you vouch.
 
         Points that were never asked (a warm start, a guess) are welcome: the proposer learns from
         them, they can become `best`, and the best of those told during a generation takes the place
@@ -437,20 +428,18 @@ class FIDE(Saved):
 
         Raises
         ------
-        PointsError, ImageError, LossError, FeaturesError
+        PointsError, ImageError, LossError
             all ValueErrors, before anything changes; of images also a ValueRangeError, if those
             told so far are on another scale than the target.
         """
         points = as_points(X, self.dim)
         n, evaluator, given = len(points), self.evaluator, losses is not None
         clipping = replace(self.state.clipping)  # a copy: the rest may fail
-        batch = evaluator.as_batch(n, images, losses, features, clipping)
+        batch = evaluator.as_batch(n, images, losses, clipping)
         with timed(self.state.times, "encode"):  # lines 7 and 9
             encode = self.state.proposer is not None and (given or not self.state.scales.blur)
-            results = evaluator.evaluate(
-                n, batch, losses, features,
-                version=version, encode=encode, note=self.state.needs_floor,
-            )  # fmt: skip
+            note = self.state.needs_floor
+            results = evaluator.evaluate(n, batch, losses, encode=encode, note=note)
         self.state.clipping = clipping
         if given and np.isfinite(results.losses).any():  # of a user: not at any blur
             self.state.stay_sharp()
@@ -494,54 +483,33 @@ class FIDE(Saved):
         """Train (line 8) and update the search distribution (line 10)."""
         state = self.state
         members, losses = state.population.close_generation()
-        samples, target = state.take_samples(), self.evaluator.tokens_at(state.scales.blur)
-        state.tell_hypotheses(self.evaluator.comparison)
+        samples, state.samples = sorted(state.samples, key=BY_INDEX), []
+        target = self.evaluator.tokens_at(state.scales.blur)
+        if state.kept is not None and self.evaluator.comparison is not None:
+            state.tell_hypotheses(state.kept, self.evaluator.comparison)
         if state.moves.stage is not Stage.SEARCH:
             state.finish_stage(members, losses, samples, target)
             return
+        (learned, state.learned), proposer = (state.learned, []), state.proposer
         try:
-            with timed(state.times, "train"):
-                self._train(samples, target)  # line 8
+            with timed(state.times, "train"):  # line 8
+                guarded = samples or state.gate.guarded  # which judges the generation as a whole
+                if proposer is not None and guarded and (samples or learned):
+                    _, tokens, told = columns(sorted(samples + learned, key=BY_INDEX))
+                    state.gate.note_images(tokens, target, told)
+                    del tokens
+                if proposer is not None and samples:
+                    proposer.update(*columns(samples), state.search.std)
         finally:  # a generation that taught nothing is not lost
             state.update_search(members, losses)  # line 10
-            self._decide(decision)
-
-    def _decide(self, decision: Decision) -> None:
-        """Go on with the search, or elsewhere where it is over."""
-        state, (over, guided) = self.state, decision
-        if guided is None:
-            guided = state.gate.guided
-        if state.begin_coarse(self.evaluator.target):
-            return
-        if over is None:
-            over = self.options.restarts != "none" and state.is_over(guided=guided)
-        if over:
-            state.finish_search(guided=self.options.restarts == "moves" and guided)
-
-    def _train(self, samples: list[TrainingSample], target: Tensor) -> None:
-        """Line 8: the proposer learns from what was evaluated since the last time."""
-        state = self.state
-        learned, state.learned = state.learned, []
-        if state.proposer is None or not (samples or learned):
-            return
-        everything = samples if not learned else in_order(samples + learned)
-        if samples or state.gate.guarded:  # which judges the generation as a whole
-            _, tokens, losses = columns(everything)
-            state.gate.note_images(tokens, target, losses)
-            del tokens
-        if samples:
-            state.proposer.update(*columns(samples), state.search.std)
-
-    def _train_early(self) -> None:
-        """Line 8, before the generation is complete, where each proposal is made when asked for."""
-        state, proposer = self.state, self.state.proposer
-        if proposer is None or not proposer.lazy:
-            return
-        if len(state.population.reserved) and state.samples:
-            samples = state.take_samples()
-            state.learned += samples
-            with timed(self.state.times, "train"):
-                proposer.update(*columns(samples), state.search.std)
+            over, guided = decision  # go on with the search, or elsewhere where it is over
+            guided = state.gate.guided if guided is None else guided
+            if state.begin_coarse(self.evaluator.target):
+                over = False
+            elif over is None:
+                over = self.options.restarts != "none" and state.is_over(guided=guided)
+            if over:
+                state.finish_search(guided=self.options.restarts == "moves" and guided)
 
     def recommend(self) -> Float64:
         """Mean (dim,) of the search distribution that found the best point (line 12).
@@ -550,7 +518,7 @@ class FIDE(Saved):
         """
         best = self.state.best
         mean = self.state.search.mean if best is None else best.mean
-        recommended: Float64 = self.state.search.render_mean(mean)
+        recommended: Float64 = self.axes.reflected(mean[None])[0]
         if best is None or self.validity is None or self.validity.allows(recommended):
             return recommended
         return best.solution.x.copy()
@@ -698,12 +666,6 @@ class FIDE(Saved):
         """Images told so far whose values went beyond black or white, and were clipped."""
         return self.state.clipping.images
 
-    @property
-    def features_shape(self) -> tuple[int, int]:
-        """(T, C) of the features of an image, see `tell`."""
-        tokens, channels = self.target_tokens.shape
-        return tokens, channels
-
     # -- where searches begin, and the next picture ------------------------------------------------
 
     def _model_of(self, learned: Any, views: Views) -> tuple[Model | None, Posterior | None]:
@@ -721,7 +683,7 @@ class FIDE(Saved):
     def random_point(self, number: int) -> Float64:
         """Random point (dim,) that may be rendered; the same for the same number, from 0."""
         rng = np.random.default_rng((self.seed, 3, number))
-        x: Float64 = self.state.search.clipped(rng.random((1, self.dim)))[0]
+        x: Float64 = self.axes.clipped(rng.random((1, self.dim)))[0]
         return x if self.validity is None else self.validity.start(x, number + 2)
 
     @one_at_a_time
@@ -795,7 +757,7 @@ class FIDE(Saved):
         state = self.state
         state.gate.note_known()
         state.steps = None
-        if not self.options.has_network:  # which keeps its weights
+        if self.options.proposer != "diffusion":  # which keeps its weights
             o, k = self.options, self.popsize
             state.proposer = make_proposer(o, self.dim, k, self.seed, self.encoder, learned=True)
 
@@ -860,9 +822,9 @@ class FIDE(Saved):
         self.evaluator = sized.comparing(state.pop("comparison"))
         try:
             fresh = self._initial_state()
-            (height, width, _), (tokens, channels) = self.views.target.shape, self.features_shape
-            sides = {"d": self.dim, "H": height, "W": width, "T": tokens, "C": channels}
-            fresh.load_state_dict(state, sides, self.encoder.device)
+            sides = dict(zip("HW", self.views.target.shape, strict=False), d=self.dim)
+            sides |= dict(zip("TC", self.target_tokens.shape, strict=True))
+            fresh.load_state_dict(state, {**sides, "device": self.encoder.device})
         except BaseException:
             self.evaluator = before
             raise

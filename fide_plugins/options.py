@@ -95,17 +95,6 @@ class Options:
     batch_size: int = _option(50, rules.whole(1))
     schedule: tuple[float, ...] = _option(PAPER_SCHEDULE, rules.schedule)
 
-    @property
-    def comparison(self) -> dict[str, Any]:
-        """Those that say how images are compared, by name."""
-        names = ("photometric", "robust", "background", "photo")
-        return {name: getattr(self, name) for name in names}
-
-    @property
-    def has_network(self) -> bool:
-        """Whether the proposer is a network, the published denoiser."""
-        return self.proposer == "diffusion"
-
 
 PRESETS: Mapping[str, Options] = {
     "fast": Options(
@@ -149,7 +138,7 @@ def make_options(preset: str, changes: Mapping[str, Any]) -> Options:
         elif known[name].default is None and name != "popsize":
             changed[name] = None
     made = replace(PRESETS[preset], **changed)
-    for name in () if made.has_network else _NETWORK:
+    for name in () if made.proposer == "diffusion" else _NETWORK:
         if getattr(made, name) != getattr(PRESETS[preset], name):
             raise OptionError(
                 f"{name}={getattr(made, name)!r} is of the network, and the proposer "

@@ -7,30 +7,39 @@ from __future__ import annotations
 
 import sys
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from itertools import pairwise
 from operator import attrgetter
 from typing import Any
 
 import numpy as np
-from torch import Tensor, as_tensor, device, stack
+from torch import Tensor, stack
 
 from fide_plugins.runtime.schema import (
+    Plain,
     Schema,
     Sides,
+    Stateful,
     array,
-    check,
+    each,
+    enum,
+    flag,
     form,
+    instance,
     maybe,
+    packed,
     real,
     row,
     saved,
-    values,
+    tensor,
     whole,
 )
 from fide_plugins.types import Float64, Mask, Solution
+
+BY_INDEX = attrgetter("index")
+"""Key that sorts in the order in which candidates were asked, whatever that of telling."""
 
 
 class CandidateRole(IntEnum):
@@ -63,44 +72,13 @@ class Candidate:
     mirrored: whether it is one of the pair that measures the step size, see `search.cma_es`.
     """
 
-    index: int
-    x: Float64
-    z: Float64
-    role: CandidateRole = CandidateRole.MEMBER
-    proposed: bool = False
-    off_distribution: bool = False
-    mirrored: bool = False
-
-
-_COLUMNS = {
-    "index": np.int64, "x": np.float64, "z": np.float64, "role": np.int64,
-    "proposed": np.bool_, "off_distribution": np.bool_, "mirrored": np.bool_,
-}  # fmt: skip
-
-
-def pack(candidates: Iterable[Candidate]) -> dict[str, Any]:
-    """Arrays of all fields, each (n, ...)."""
-    every = list(candidates)
-    return {name: np.array([getattr(c, name) for c in every], t) for name, t in _COLUMNS.items()}
-
-
-def unpack(packed: Mapping[str, Any]) -> list[Candidate]:
-    """Candidates that `pack` was given."""
-    return [
-        Candidate(int(index), x.copy(), z.copy(), CandidateRole(role), *map(bool, flags))
-        for index, x, z, role, *flags in zip(*(packed[name] for name in _COLUMNS), strict=True)
-    ]
-
-
-def form_of(n: str) -> Schema:
-    """Return the form of what `pack` gives for n candidates."""
-    return {
-        "index": array(n, kind="i"),
-        "x": array(n, "d", low=0.0, high=1.0),
-        "z": array(n, "d", low=-1e60, high=1e60),
-        "role": array(n, kind="i", low=min(CandidateRole), high=max(CandidateRole)),
-        **{name: array(n, kind="b") for name, kind in _COLUMNS.items() if kind is np.bool_},
-    }
+    index: int = saved(whole())
+    x: Float64 = saved(array("d", low=0.0, high=1.0))
+    z: Float64 = saved(array("d", low=-1e60, high=1e60))
+    role: CandidateRole = saved(enum(CandidateRole), default=CandidateRole.MEMBER)
+    proposed: bool = saved(flag, default=False)
+    off_distribution: bool = saved(flag, default=False)
+    mirrored: bool = saved(flag, default=False)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,18 +94,9 @@ class TrainingSample:
 
     index: int = saved(whole())
     x: Float64 = saved(array("d", low=0.0, high=1.0))
-    tokens: Tensor = saved(array("T", "C"))
+    tokens: Tensor = saved(tensor("T", "C"))
     loss: float = saved(real())
     evaluation: int = saved(whole())
-
-    def state_dict(self) -> dict[str, Any]:
-        """All of it; tokens are those in use, not a copy."""
-        return values(self)
-
-    @classmethod
-    def from_state(cls, state: Mapping[str, Any], device: device | None = None) -> TrainingSample:
-        """Undo `state_dict`; arrays serve as tensors, which go to the device."""
-        return cls(**{**state, "tokens": as_tensor(state["tokens"], device=device)})
 
 
 def columns(samples: Sequence[TrainingSample]) -> tuple[Float64, Tensor, Float64]:
@@ -137,9 +106,12 @@ def columns(samples: Sequence[TrainingSample]) -> tuple[Float64, Tensor, Float64
     return x, stack([sample.tokens for sample in samples]), losses
 
 
-def in_order(samples: Iterable[TrainingSample]) -> list[TrainingSample]:
-    """Samples in the order in which they were asked, whatever that in which they were told."""
-    return sorted(samples, key=attrgetter("index"))
+_SOLUTION: dict[str, Schema] = {
+    "x": array("d", low=0.0, high=1.0),
+    "loss": real(),
+    "evaluation": whole(),
+    "image": maybe(array("H", "W", 3, low=0.0, high=1.0)),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,33 +124,15 @@ class Best:
     search_number: of the search that asked it; 0 for none.
     """
 
-    solution: Solution
+    solution: Solution = saved(instance(Solution, _SOLUTION))
     index: int = saved(whole())
     mean: Float64 = saved(array("d", low=-1e60, high=1e60))
     search_number: int = saved(whole())
 
     def state_dict(self) -> dict[str, Any]:
         """All of it but what is computed when it is read; arrays are those in use, not copies."""
-        return values(self) | {name: getattr(self.solution, name) for name in _SOLUTION}
-
-    @classmethod
-    def from_state(cls, state: Mapping[str, Any]) -> Best:
-        """Undo `state_dict`."""
-        solution = Solution(**{name: state[name] for name in _SOLUTION})
-        return cls(solution, **{name: state[name] for name in form(cls)})
-
-    @classmethod
-    def schema(cls) -> Schema:
-        """Return the form of what `state_dict` gives."""
-        return form(cls) | _SOLUTION
-
-
-_SOLUTION: dict[str, Schema] = {
-    "x": array("d", low=0.0, high=1.0),
-    "loss": real(),
-    "evaluation": whole(),
-    "image": maybe(array("H", "W", 3, low=0.0, high=1.0)),
-}
+        own = {name: getattr(self, name) for name in form(Best)}
+        return own | {"solution": {k: getattr(self.solution, k) for k in _SOLUTION}}
 
 
 # -- the record -----------------------------------------------------------------------------------
@@ -186,26 +140,11 @@ _SOLUTION: dict[str, Schema] = {
 _LOST = 2  # generations' worth of spare candidates told, after which members count as lost
 _LATE = 3  # times as late as the latest result of late, from which on no result is expected
 _ZERO = np.float32(0.0)
-_SCHEMA: dict[str, Schema] = {
-    **dict.fromkeys(
-        (
-            "size", "drawn", "generations", "generation_from", "withdrawn", "reserved_from",
-            "newest",
-        ),
-        whole(),
-    ),
-    "reserved": array("reserved", "d", low=-1e60, high=1e60),
-    "delays": row(whole(), whole()),
-    "queue": form_of("queued"),
-    "pending": form_of("pending"),
-    "members": form_of("members"),
-    "losses": array("members", high=np.inf),
-    "spare": form_of("spare"),
-    "spare_losses": array("spare", high=np.inf),
-}  # fmt: skip
+_TOLD: Schema = each(row(instance(Candidate), real(high=np.inf)))
 
 
-class Population:
+@dataclass(eq=False)
+class Population(Stateful):
     """Candidates drawn, pending and evaluated.
 
     Asking for more than is left of a generation draws more members, and any of them complete it;
@@ -219,22 +158,29 @@ class Population:
     queue: candidates of this generation that can be handed out.
     reserved: (m, d), samples at the end of the queue from which proposals are to be made.
     pending: candidates that were handed out and not yet told, by index.
-    told: members of the present generation with their losses.
+    told, spare: of the present generation with their losses: members, and what it did not need.
+    withdrawn: of its own candidates, in whose place spare ones count.
+    reserved_from, generation_from, newest: index of the first that is reserved, of the first that
+        is not of an earlier generation, and of the last that was handed out.
+    delays: by how much more than a generation a result was late, in this one and the one before.
     """
 
-    def __init__(self) -> None:
-        self.size = self.drawn = self.generations = 0
-        self.reserved: Float64 = np.empty((0, 0))
-        self._reserved_from = 0  # index of the first of these
-        self.queue: deque[Candidate] = deque()
-        self.pending: dict[int, Candidate] = {}
-        self._by_point: dict[bytes, list[Candidate]] = {}  # the same, by their points
-        self._newest = 0  # highest index handed out
-        self._delays = (0, 0)  # by how much more than a generation a result was late: now, before
-        self.told: list[tuple[Candidate, float]] = []
-        self._spare: list[tuple[Candidate, float]] = []  # told, not needed by the generation
-        self._withdrawn = 0  # of its own candidates, in whose place spare ones count
-        self._generation_from = 0  # candidates of a lower index belong to an earlier generation
+    size: int = saved(whole(), default=0)
+    drawn: int = saved(whole(), default=0)
+    generations: int = saved(whole(), default=0)
+    withdrawn: int = saved(whole(), default=0)
+    reserved_from: int = saved(whole(), default=0)
+    generation_from: int = saved(whole(), default=0)
+    newest: int = saved(whole(), default=0)
+    delays: tuple[int, int] = saved(row(whole(), whole()), default=(0, 0))
+    reserved: Float64 = saved(
+        array("reserved", "d", low=-1e60, high=1e60), default_factory=lambda: np.empty((0, 0))
+    )
+    queue: deque[Candidate] = saved(each(instance(Candidate)), default_factory=deque)
+    pending: dict[int, Candidate] = saved(each(instance(Candidate)), default_factory=dict)
+    told: list[tuple[Candidate, float]] = saved(_TOLD, default_factory=list)
+    spare: list[tuple[Candidate, float]] = saved(_TOLD, default_factory=list)
+    _by_point: dict[bytes, list[Candidate]] = field(init=False, default_factory=dict)
 
     # -- asking ------------------------------------------------------------------------------------
 
@@ -242,11 +188,6 @@ class Population:
     def remaining(self) -> int:
         """Candidates of this generation that are not yet handed out, reserved ones too."""
         return len(self.queue) + len(self.reserved)
-
-    @property
-    def has_begun(self) -> bool:
-        """Whether something of the present generation is out, told or withdrawn."""
-        return bool(self.pending or self.told or self._withdrawn)
 
     def draw(
         self,
@@ -266,25 +207,20 @@ class Population:
         reserved = np.empty((0, 0)) if reserved is None else reserved
         n = len(x) + len(reserved)
         if not spare:
-            self.size, self._withdrawn = n, 0
+            self.size, self.withdrawn = n, 0
         role = CandidateRole.SPARE if spare else CandidateRole.MEMBER
         pair = pair and len(x) >= 2
         for i, (point, drawn) in enumerate(zip(x, z, strict=True)):
             mirrored = pair and i < 2
             self.queue.append(Candidate(self.drawn + i, point, drawn, role, mirrored=mirrored))
-        self.reserved, self._reserved_from = reserved, self.drawn + len(x)
+        self.reserved, self.reserved_from = reserved, self.drawn + len(x)
         self.drawn += n
 
     def add_proposals(self, x: Float64, z: Float64) -> None:
         """Queue proposals x (m, d) with their z (m, d), made from the first reserved samples."""
-        for i, (point, near) in enumerate(zip(x, z, strict=True), self._reserved_from):
+        for i, (point, near) in enumerate(zip(x, z, strict=True), self.reserved_from):
             self.queue.append(Candidate(i, point, near, proposed=True))
-        self.reserved, self._reserved_from = self.reserved[len(x) :], self._reserved_from + len(x)
-
-    def proposed(self, first: int, n: int) -> Mask:
-        """Which of n candidates of those that remain are proposals, (n,), from the first on."""
-        flags = [candidate.proposed for candidate in self.queue] + [True] * len(self.reserved)
-        return np.array(flags[first : first + n], bool)
+        self.reserved, self.reserved_from = self.reserved[len(x) :], self.reserved_from + len(x)
 
     def replace(self, first: int, x: Float64, z: Float64, proposed: Mask) -> None:
         """Put points x (m, d) of another distribution, with their z (m, d), in candidates' place.
@@ -318,17 +254,12 @@ class Population:
         self._add_pending(Candidate(self.drawn, x, z, role, proposed, off_distribution))
         self.drawn += 1
 
-    def new_index(self) -> int:
-        """Number of a point that is told and was not asked."""
-        self.drawn += 1
-        return self.drawn - 1
-
     # -- pending -----------------------------------------------------------------------------------
 
     @property
     def awaited(self) -> int:
         """How many of the pending, but for steps, are not much later than all others."""
-        oldest = self._newest - _LATE * (self.size + max(self._delays))
+        oldest = self.newest - _LATE * (self.size + max(self.delays))
         n = 0
         for candidate in reversed(self.pending.values()):  # the last handed out come first
             if candidate.index < oldest:
@@ -343,7 +274,7 @@ class Population:
     def _add_pending(self, candidate: Candidate) -> None:
         self.pending[candidate.index] = candidate
         self._by_point.setdefault(_key(candidate.x), []).append(candidate)
-        self._newest = max(self._newest, candidate.index)
+        self.newest = max(self.newest, candidate.index)
 
     def take(self, x: Float64) -> Candidate | None:
         """Take x (d,) from the pending candidates; returns it, or None if it is not pending.
@@ -369,7 +300,7 @@ class Population:
         """Say that x (d,) will not be told; if it is not pending, nothing happens."""
         candidate = self.take(x)
         if candidate is not None and candidate.role is CandidateRole.MEMBER:
-            self._withdrawn += candidate.index >= self._generation_from
+            self.withdrawn += candidate.index >= self.generation_from
 
     def forget_pending(self) -> None:
         """A restart: what is still pending counts as injected if it is told."""
@@ -379,31 +310,35 @@ class Population:
     # -- telling -----------------------------------------------------------------------------------
 
     def record(self, x: Float64, loss: float) -> Candidate | None:
-        """Enter the loss of x (d,); returns the candidate as it counts, or None: injected."""
+        """Enter the loss of x (d,); returns the candidate as it counts, or None: injected.
+
+        What is injected takes the next index of those that are drawn.
+        """
         candidate = self.take(x)
         if candidate is None:
+            self.drawn += 1
             return None
-        delay = self._newest - candidate.index - self.size
-        self._delays = max(self._delays[0], delay), self._delays[1]
-        if candidate.index < self._generation_from:
+        delay = self.newest - candidate.index - self.size
+        self.delays = max(self.delays[0], delay), self.delays[1]
+        if candidate.index < self.generation_from:
             candidate = replace(candidate, off_distribution=True)
         if candidate.role is CandidateRole.MEMBER:
             self.told.append((candidate, loss))
         elif candidate.role is CandidateRole.SPARE:
-            self._spare.append((candidate, loss))
+            self.spare.append((candidate, loss))
         return candidate
 
     @property
     def missing(self) -> int:
         """Results that the present generation lacks, whether they are out, withdrawn or lost."""
-        return self.size - len(self.told) - min(self._withdrawn, len(self._spare))
+        return self.size - len(self.told) - min(self.withdrawn, len(self.spare))
 
     @property
     def complete(self) -> bool:
         """Whether a whole generation has been told, or what is missing is lost."""
         if self.size > 0 and self.missing <= 0:
             return True
-        told = len(self._spare)
+        told = len(self.spare)
         return self.size > 0 and told >= _LOST * self.size and told >= _LOST * self.awaited
 
     def members(self) -> tuple[list[Candidate], Float64]:
@@ -411,62 +346,37 @@ class Population:
 
         Spare ones if no other ever came back.
         """
-        ordered = sorted(self.told or self._spare, key=lambda pair: pair[0].index)
+        ordered = sorted(self.told or self.spare, key=lambda pair: pair[0].index)
         losses = np.array([loss for _, loss in ordered], np.float64)
         return [candidate for candidate, _ in ordered], losses
 
     def close_generation(self) -> tuple[list[Candidate], Float64]:
         """Members and their losses (n,), see `members`; what was never handed out is dropped."""
         members, losses = self.members()
-        self.told, self._spare, self._withdrawn = [], [], 0
+        self.told, self.spare, self.withdrawn = [], [], 0
         self.queue.clear()
         self.reserved = np.empty((0, 0))
-        self._delays = (0, self._delays[0])
-        self._generation_from = self.drawn
+        self.delays = (0, self.delays[0])
+        self.generation_from = self.drawn
         self.generations += 1
         return members, losses
 
     # -- saving ------------------------------------------------------------------------------------
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything, as arrays."""
-        members, losses = zip(*self.told, strict=True) if self.told else ((), ())
-        spare, spare_losses = zip(*self._spare, strict=True) if self._spare else ((), ())
-        found = {
-            "delays": list(self._delays),
-            "queue": pack(self.queue),
-            "pending": pack(sorted(self.pending.values(), key=lambda c: c.index)),
-            "members": pack(members),
-            "losses": np.array(losses, np.float64),
-            "spare": pack(spare),
-            "spare_losses": np.array(spare_losses, np.float64),
-        }
-        plain = [name for name in _SCHEMA if name not in found]
-        return found | {name: getattr(self, _attribute(name)) for name in plain}
+        """Everything."""
+        pending = sorted(self.pending.values(), key=BY_INDEX)
+        return super().state_dict() | {"pending": packed(pending)}
 
-    @classmethod
-    def from_state(cls, state: Mapping[str, Any], dim: int) -> Population:
-        """Population of points (dim,) as it was when `state_dict` was taken; ValueError if none."""
-        check(state, _SCHEMA, {"d": dim}, "population")
-        made = cls()
-        for name, value in state.items():
-            if isinstance(value, int) or name == "reserved":
-                setattr(made, _attribute(name), value)
-        made.queue.extend(unpack(state["queue"]))
-        for candidate in unpack(state["pending"]):
-            made._add_pending(candidate)
-        made._delays = (*state["delays"],)
-        made.told = _with_losses(state["members"], state["losses"])
-        made._spare = _with_losses(state["spare"], state["spare_losses"])
-        return made
-
-
-def _attribute(name: str) -> str:
-    return name if name in ("size", "drawn", "generations", "reserved") else f"_{name}"
-
-
-def _with_losses(packed: Mapping[str, Any], losses: Float64) -> list[tuple[Candidate, float]]:
-    return list(zip(unpack(packed), losses.tolist(), strict=True))
+    def load_state_dict(self, state: Plain, sides: Sides | None = None) -> None:
+        """Put back what `state_dict` gave; ValueError if it is none.  sides: d."""
+        super().load_state_dict(state, sides)
+        waiting: Any = self.pending
+        self.queue, newest, self.pending = deque(self.queue), self.newest, {}
+        self._by_point.clear()
+        for candidate in waiting:
+            self._add_pending(candidate)
+        self.newest = newest
 
 
 def search_columns(members: list[Candidate]) -> tuple[Float64, Mask]:
@@ -496,94 +406,51 @@ def _key(x: Float64) -> bytes:
 
 _MEGABYTE = 2**20
 _LEAST = 4096  # bytes of a sample; its objects take about as much, however few numbers they hold
-_PACKED: Schema = {
-    "index": array("n", kind="i", low=0),
-    "x": array("n", "d", low=0.0, high=1.0),
-    "tokens": array("n", "T", "C"),
-    "losses": array("n"),
-    "evaluation": array("n", kind="i", low=0),
-}
-_MEMORY: Schema = {
-    "earlier": maybe(_PACKED),
-    "latest": maybe(_PACKED),
-    "left": whole(),
-    "stride": whole(1),
-}
 
 
-class Memory:
+@dataclass(eq=False)
+class Memory(Stateful):
     """Samples of a run, at most `megabytes` of tokens and parameters; 0: none.
 
-    Half of the room is for the latest samples.  The other half is for every s-th of those that have
-    left the first, where s doubles whenever the room is full: they are spread evenly over the run.
+    Half of the room is for the latest samples.  The other half is for every `stride`-th of those
+    that have left the first, which doubles whenever the room is full: they are spread evenly over
+    the run.  left: how many have.
     """
 
-    def __init__(self, megabytes: float) -> None:
-        self._bytes = megabytes * _MEGABYTE
-        self._latest: deque[TrainingSample] = deque()
-        self._earlier: list[TrainingSample] = []
-        self._left = 0  # samples that have left the first half
-        self._stride = 1  # s
+    megabytes: float
+    earlier: list[TrainingSample] = saved(each(instance(TrainingSample)), default_factory=list)
+    latest: deque[TrainingSample] = saved(each(instance(TrainingSample)), default_factory=deque)
+    left: int = saved(whole(), default=0)
+    stride: int = saved(whole(1), default=1)
 
     @property
     def samples(self) -> list[TrainingSample]:
         """All of them, the earliest first."""
-        return [*self._earlier, *self._latest]
+        return [*self.earlier, *self.latest]
 
     def add(self, sample: TrainingSample) -> None:
         """Remember a sample; others may be forgotten for it."""
         each = max(_LEAST, sample.tokens.nbytes + sample.x.nbytes)
-        room = int(min(self._bytes / each, sys.maxsize))  # there may be no limit
+        room = int(min(self.megabytes * _MEGABYTE / each, sys.maxsize))  # there may be no limit
         if room < 2:
             return
-        self._latest.append(sample)
-        if len(self._latest) <= room // 2:
+        self.latest.append(sample)
+        if len(self.latest) <= room // 2:
             return
-        sample, self._left = self._latest.popleft(), self._left + 1
-        if self._left % self._stride == 0:
-            self._earlier.append(sample)
-        if len(self._earlier) > room - room // 2:
-            self._earlier = self._earlier[1::2]
-            self._stride *= 2
+        sample, self.left = self.latest.popleft(), self.left + 1
+        if self.left % self.stride == 0:
+            self.earlier.append(sample)
+        if len(self.earlier) > room - room // 2:
+            self.earlier = self.earlier[1::2]
+            self.stride *= 2
 
     def set_losses(self, losses: Sequence[float]) -> None:
         """Give all samples, in the order of `samples`, the losses (n,) of another target."""
         every = [replace(one, loss=x) for one, x in zip(self.samples, losses, strict=True)]
-        self._earlier = every[: len(self._earlier)]
-        self._latest = deque(every[len(self._earlier) :])
+        self.latest = deque(every[len(self.earlier) :])
+        self.earlier = every[: len(self.earlier)]
 
-    def state_dict(self) -> dict[str, Any]:
-        """Everything, as arrays."""
-        earlier, latest = _pack(self._earlier), _pack(list(self._latest))
-        return {"earlier": earlier, "latest": latest, "left": self._left, "stride": self._stride}
-
-    def load_state_dict(self, state: Mapping[str, Any], sides: Sides, device: device) -> None:
-        """Put back what `state_dict` gave, tokens on the device; ValueError if it is none.
-
-        sides: d, T and C, by these names.
-        """
-        for half in ("earlier", "latest"):  # of different lengths n
-            check({**state, "earlier": None, "latest": state[half]}, _MEMORY, dict(sides), "memory")
-        self._earlier = _unpack(state["earlier"], device)
-        self._latest = deque(_unpack(state["latest"], device))
-        self._left, self._stride = state["left"], state["stride"]
-
-
-def _pack(samples: list[TrainingSample]) -> dict[str, Any] | None:
-    if not samples:
-        return None
-    x, tokens, losses = columns(samples)
-    numbers = {
-        name: np.array([getattr(sample, name) for sample in samples], np.int64)
-        for name in ("index", "evaluation")
-    }
-    return {"x": x, "tokens": tokens, "losses": losses, **numbers}
-
-
-def _unpack(packed: Mapping[str, Any] | None, device: device) -> list[TrainingSample]:
-    if packed is None:
-        return []
-    tokens: list[Tensor] = [as_tensor(one, device=device).clone() for one in packed["tokens"]]
-    x = [one.copy() for one in packed["x"]]
-    index, losses, told = (packed[name].tolist() for name in ("index", "losses", "evaluation"))
-    return [TrainingSample(*one) for one in zip(index, x, tokens, losses, told, strict=True)]
+    def load_state_dict(self, state: Plain, sides: Sides | None = None) -> None:
+        """Put back what `state_dict` gave; ValueError if it is none.  sides: d, T, C, device."""
+        super().load_state_dict(state, sides)
+        self.latest = deque(self.latest)

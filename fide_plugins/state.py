@@ -18,7 +18,6 @@ from fide_plugins.population import (
     Population,
     TrainingSample,
     columns,
-    in_order,
 )
 from fide_plugins.proposers import Proposer
 from fide_plugins.proposers.feature_buffer import MOST, for_jacobian
@@ -32,6 +31,7 @@ from fide_plugins.runtime.schema import (
     check,
     each,
     form,
+    instance,
     maybe,
     packed,
     real,
@@ -97,19 +97,19 @@ class State:
     searches: int = saved(whole(), default=1)
     evaluations: int = saved(whole(), default=0)
     not_finite: int = saved(whole(), default=0)
-    best: Best | None = saved(maybe(Best.schema()), default=None)
+    best: Best | None = saved(maybe(instance(Best)), default=None)
     improved_at: int = saved(whole(), default=0)
     improved_to: float = saved(real(high=np.inf), default=np.inf)
-    samples: list[TrainingSample] = saved(each(form(TrainingSample)), default_factory=list)
-    learned: list[TrainingSample] = saved(each(form(TrainingSample)), default_factory=list)
+    samples: list[TrainingSample] = saved(each(instance(TrainingSample)), default_factory=list)
+    learned: list[TrainingSample] = saved(each(instance(TrainingSample)), default_factory=list)
     injected: tuple[Float64, float] | None = saved(
         maybe(row(array("d", low=0.0, high=1.0), real())), default=None
     )
-    search_best: TrainingSample | None = saved(maybe(form(TrainingSample)), default=None)
+    search_best: TrainingSample | None = saved(maybe(instance(TrainingSample)), default=None)
     over_at: int = saved(whole(), default=0)
     retargeted_at: int = saved(whole(), default=0)
     comparisons: int = saved(whole(), default=0)
-    clipping: Clipping = saved(anything, default_factory=Clipping)
+    clipping: Clipping = saved(instance(Clipping), default_factory=Clipping)
     times: dict[str, float] = saved(
         {"encode": real(), "train": real(), "search": real()},
         default_factory=lambda: {"encode": 0.0, "train": 0.0, "search": 0.0},
@@ -123,7 +123,10 @@ class State:
     @property
     def generation_is_fixed(self) -> bool:
         """Whether the present generation, a test, needs exactly the candidates drawn for it."""
-        return self.moves.stage is not Stage.SEARCH and not self.moves.has_more
+        stage, move = self.moves.stage, self.moves.move
+        if stage is Stage.RESTART:
+            return not self.moves.family[move].has_more
+        return stage is not Stage.SEARCH
 
     def preview_search(self) -> Search | None:
         """Return the search as it would be updated now; nothing else changes.
@@ -156,8 +159,8 @@ class State:
         loss, told = (loss, told) if finite else (np.inf, np.inf)
         candidate = self.population.record(x, told)
         if candidate is None:
-            number = self.population.new_index()
-            exact = x = self.search.clipped(x[None])[0]  # what is rendered at x
+            number = self.population.drawn - 1
+            exact = x = self.search.axes.clipped(x[None])[0]  # what is rendered at x
         else:
             number, exact = candidate.index, candidate.x  # x may have lost digits on its way
         if finite:
@@ -184,7 +187,7 @@ class State:
             self.improved_at, self.improved_to = self.evaluations, solution.loss
         mean, search_number = solution.x.copy(), 0
         if asked is not None and self.moves.stage is Stage.SEARCH:
-            start = self.search.clipped(self.moves.start.mean[None])[0]
+            start = self.search.axes.clipped(self.moves.start.mean[None])[0]
             if not np.array_equal(asked, start):  # which was given, or found before, not by it
                 mean, search_number = self.search.mean, self.searches
         self.best = Best(solution, number, mean, search_number)
@@ -203,11 +206,6 @@ class State:
         best = self.search_best
         if best is None or (sample.loss, sample.index) < (best.loss, best.index):
             self.search_best = sample
-
-    def take_samples(self) -> list[TrainingSample]:
-        """Samples since the last call, in the order in which they were asked."""
-        samples, self.samples = in_order(self.samples), []
-        return samples
 
     # -- the end of a generation -------------------------------------------------------------------
 
@@ -230,11 +228,10 @@ class State:
         uncovered = self.kept is not None and not self.kept.covered
         return uncovered and self.moves.hypotheses is not None
 
-    def tell_hypotheses(self, comparison: Comparison | None) -> None:
+    def tell_hypotheses(self, kept: Kept, comparison: Comparison) -> None:
         """Tell those of a model what renders of a photograph have shown, before a decision."""
-        hypotheses = self.moves.hypotheses
-        if hypotheses is not None and comparison is not None and self.kept is not None:
-            hypotheses.covered = self.kept.covered
+        if (hypotheses := self.moves.hypotheses) is not None:
+            hypotheses.covered = kept.covered
             hypotheses.floor = comparison.floor if self.needs_floor else 0.0
 
     def is_over(self, *, guided: bool) -> bool:
@@ -295,12 +292,14 @@ class State:
         elif self.moves.stage is Stage.DESCENT and self.moves.descents is not None:
             self.scales.begin_at(self.moves.descents.share)
         elif self.moves.stage is Stage.RESTART and self.moves.begins_coarse:
-            self.scales.begin()
+            self.scales.left = list(self.scales.blurs)
 
     def _begin_search(self) -> None:
         """Begin where the moves say; what proposers and steps learned was of the last search."""
         self.searches += 1
-        self.moves.start = self.search.setting.valid_start(self.moves.start, self.searches)
+        if (validity := self.search.setting.validity) is not None:
+            valid = validity.start(self.moves.start.mean, self.searches)
+            self.moves.start = replace(self.moves.start, mean=valid)
         self.search = self.new_search()
         for part in (self.proposer, self.steps):
             if part is not None:
@@ -374,7 +373,9 @@ class State:
     def _arrived(self) -> Float64:
         """Best candidate (d,) of the present search, by the loss that it is told."""
         best = self.search_best
-        return self.search.render_mean(self.search.mean) if best is None else best.x.copy()
+        if best is not None:
+            return best.x.copy()
+        return np.asarray(self.search.axes.reflected(self.search.mean[None])[0])
 
     # -- other places and pictures -----------------------------------------------------------------
 
@@ -438,21 +439,20 @@ class State:
 
     def draw_moves(self, rng: np.random.Generator) -> Float64:
         """Candidates (n, d) of the present stage, which must not be SEARCH; valid ones only."""
-        validity, moves = self.search.setting.validity, self.moves
-        if validity is None:
-            return self.search.clipped(moves.draw(rng))
-        return validity.redrawn(
-            lambda: self.search.clipped(moves.draw(rng)), moves.has_more, moves.start.mean
-        )
+        moves, clipped = self.moves, self.search.axes.clipped
+        if (validity := self.search.setting.validity) is None:
+            return clipped(moves.draw(rng))
+        more = not self.generation_is_fixed
+        return validity.redrawn(lambda: clipped(moves.draw(rng)), more, moves.start.mean)
 
     def estimate_of(self, x: Float64) -> Estimate | None:
         """How well the parameters of a solution (d,) are known, from what is remembered now.
 
         It is computed when it is read; None if no sample says anything.
         """
-        from fide_plugins.uncertainty import LocalEstimate
+        from fide_plugins.uncertainty.estimate import LocalEstimate
 
-        known, layout = self.moves.known, self.search.setting.layout
+        known = self.moves.known
         samples = self.memory.samples + self._ends
         if not samples:
             return None
@@ -462,7 +462,7 @@ class State:
             target=known.target,
             channels=known.channels,
             axes=known.axes,
-            discrete=None if layout is None else layout.discrete,
+            discrete=known.axes.discrete,
             blocks=known.exchangeability.blocks,
         )
 
@@ -485,38 +485,29 @@ class State:
         state = {name: packed(getattr(self, name)) for name in form(State)}
         return state | {"rng": self.rng.bit_generator.state, "times": dict(self.times)}
 
-    def load_state_dict(self, state: Mapping[str, Any], sides: Sides, device: torch.device) -> None:
-        """Put back what `state_dict` gave, tokens on the device.
+    def load_state_dict(self, state: Mapping[str, Any], sides: Sides) -> None:
+        """Put back what `state_dict` gave; ValueError if `state` is none of these.
 
-        sides: d, T, C, H, W, by these names.  Raises ValueError if `state` is none of these.
+        sides: d, T, C, H, W, by these names, and the device of tokens.
         """
-
-        def sample(one: Any) -> TrainingSample:
-            return TrainingSample.from_state(one, device)
-
-        check(state, dict(form(State)), dict(sides))
-        for name, value in state.items():  # numbers; parts follow
-            if isinstance(value, int | float):
-                setattr(self, name, value)
-        self.rng.bit_generator.state = state["rng"]
-        self.population = Population.from_state(state["population"], sides["d"])
+        found = check(state, dict(form(State)), dict(sides))
+        self.rng.bit_generator.state = found.pop("rng")
         if state["steps"] is None:
             self.steps = None  # it was saved where there are none, as in a replica
-        for name in ("moves", "gate", "proposer", "steps", "memory"):
-            if getattr(self, name) is not None:
-                getattr(self, name).load_state_dict(state[name], sides, device)
-        for name in ("scales", "pixel_noise", "kept"):
-            if getattr(self, name) is not None:
-                getattr(self, name).load_state_dict(state[name], sides)
+        for name in _LOADED:
+            value, one = found.pop(name), getattr(self, name)
+            if one is not None:
+                one.load_state_dict(value, sides)
         if self.proposer is None and len(self.population.reserved):
             raise ValueError("candidates are reserved for proposals, and nothing is proposed")
         self._let_moves_know()
         self.search = self.new_search()
-        self.search.load_state_dict(state["search"])
-        self.best = None if state["best"] is None else Best.from_state(state["best"])
-        self.samples = [sample(one) for one in state["samples"]]
-        self.learned = [sample(one) for one in state["learned"]]
-        self.injected = None if state["injected"] is None else tuple(state["injected"])
-        self.search_best = None if state["search_best"] is None else sample(state["search_best"])
-        self.clipping = Clipping.from_state(state["clipping"])
-        self.times = dict(state["times"])
+        self.search.load_state_dict(found.pop("search"))
+        for name, value in found.items():
+            setattr(self, name, value)
+
+
+_LOADED = (
+    "population", "moves", "gate", "proposer", "steps", "memory", "scales", "pixel_noise", "kept"
+)  # fmt: skip
+"""Parts of a state that load themselves, the search after them."""

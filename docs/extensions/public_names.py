@@ -30,7 +30,7 @@ MODULES = {
     "fide_plugins.renderers": "fide_plugins.renderers",
     "fide_plugins.fitting.callbacks": "fide_plugins.fitting.callbacks",
     "fide_plugins.learning": "fide_plugins.learning",
-    "fide_plugins.watch": "fide_plugins.watch",
+    "fide_lab.watch": "fide_lab.watch",
     "fide_adapters.nevergrad": "fide_adapters.nevergrad",
     "fide_adapters.optuna": "fide_adapters.optuna",
     "fide_tasks": "fide_tasks",

@@ -11,6 +11,7 @@ import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from importlib.util import find_spec
 from typing import Any, NoReturn
 
 from fide_plugins import __version__
@@ -22,26 +23,29 @@ __all__ = ["commands", "main", "module_of"]
 
 COMMANDS = {
     "fit": "fit a picture of your own, with your renderer or a model",
-    "check": "look at your renderer before a fit",
     "learn": "learn a renderer once, for every later picture",
-    "solutions": "show several good answers of a run, side by side",
-    "watch": "show a run in the browser while it goes on",
-    "mcp": "serve agents, by the Model Context Protocol",
-    "list": "list tasks, optimizers, encoders, losses",
-    "doctor": "check what can be used on this machine",
 }
-"""Commands of this package; `fide_lab.cli` has others."""
+"""Commands of this package."""
+_OTHERS = ("fide_lab.cli", "fide_adapters")
+"""Packages with more, in modules NAME_command, and with a table COMMANDS of them."""
+
+
+def _tables() -> dict[str, dict[str, str]]:
+    """Commands of each package that is installed."""
+    others = [name for name in _OTHERS if find_spec(name.split(".")[0])]
+    return {__name__: COMMANDS, **{name: import_module(name).COMMANDS for name in others}}
 
 
 def commands() -> dict[str, str]:
-    """What each command is for, also those of the laboratory, where it is."""
-    return COMMANDS | (laboratory.module("cli").COMMANDS if laboratory.is_installed() else {})
+    """What each command is for."""
+    return {name: text for table in _tables().values() for name, text in table.items()}
 
 
 def module_of(command: str) -> Any:
-    """Module of a command: its arguments, and its execution."""
-    if command in COMMANDS:
-        return import_module(f"fide_plugins.cli.{command}_command")
+    """Module of a command; DependencyError for one that no installed package has."""
+    for package, table in _tables().items():
+        if command in table:
+            return import_module(f"{package}.{command}_command")
     return laboratory.module(f"cli.{command}_command")
 
 

@@ -143,28 +143,19 @@ class DenseEncoder(PatchEncoder):
 
     def _encode(self, images: torch.Tensor) -> torch.Tensor:
         samples = images.permute(0, 3, 1, 2).contiguous()  # (n, 3, 2 gh, 2 gw)
+        top, bottom = samples[..., ::2, :], samples[..., 1::2, :]
+        a, b, c, d = top[..., ::2], top[..., 1::2], bottom[..., ::2], bottom[..., 1::2]
+        mean = ((a + d) + (b + c)) / 4  # (n, 3, gh, gw), as the three differences
+        haar = ((b + d) - (a + c)) / 2, ((c + d) - (a + b)) / 2, ((a + d) - (b + c)) / 2
         weights = torch.tensor(LUMINANCE, dtype=torch.float32).to(samples.device)[:, None, None]
         luminance = (samples * weights).sum(1)
-        features = torch.cat([*_haar(samples), _edges(luminance)], dim=1)
-        return features.flatten(2).transpose(1, 2)  # (n, T, C)
-
-
-def _haar(quarters: torch.Tensor) -> tuple[torch.Tensor, ...]:
-    """Mean, horizontal, vertical and diagonal difference of 2x2 blocks: four of (n, 3, gh, gw)."""
-    top, bottom = quarters[..., ::2, :], quarters[..., 1::2, :]
-    a, b, c, d = top[..., ::2], top[..., 1::2], bottom[..., ::2], bottom[..., 1::2]
-    mean = ((a + d) + (b + c)) / 4
-    return mean, ((b + d) - (a + c)) / 2, ((c + d) - (a + b)) / 2, ((a + d) - (b + c)) / 2
-
-
-def _edges(luminance: torch.Tensor) -> torch.Tensor:
-    """Edge energies (n, 4, gh, gw) of luminance (n, 2 gh, 2 gw)."""
-    padded = torch.nn.functional.pad(luminance[:, None], (1, 1, 1, 1), mode="replicate")[:, 0]
-    gx = padded[:, 1:-1, 2:] - padded[:, 1:-1, :-2]
-    gy = padded[:, 2:, 1:-1] - padded[:, :-2, 1:-1]
-    norm = (gx.square() + gy.square()).sqrt().clamp(min=1e-12)
-    along = (gx.square() - gy.square()) / norm  # |g| cos 2 theta
-    across = 2 * gx * gy / norm  # |g| sin 2 theta
-    # main diagonal: the gradient of an edge along it points at -45 degrees (y counts downwards)
-    split = torch.stack([along, -along, -across, across], dim=1).clamp(min=0)
-    return torch.nn.functional.avg_pool2d(split, SAMPLES)
+        padded = torch.nn.functional.pad(luminance[:, None], (1, 1, 1, 1), mode="replicate")[:, 0]
+        gx = padded[:, 1:-1, 2:] - padded[:, 1:-1, :-2]
+        gy = padded[:, 2:, 1:-1] - padded[:, :-2, 1:-1]
+        norm = (gx.square() + gy.square()).sqrt().clamp(min=1e-12)
+        along = (gx.square() - gy.square()) / norm  # |g| cos 2 theta
+        across = 2 * gx * gy / norm  # |g| sin 2 theta
+        # main diagonal: the gradient of an edge along it points at -45 degrees (y counts downwards)
+        split = torch.stack([along, -along, -across, across], dim=1).clamp(min=0)
+        edges = torch.nn.functional.avg_pool2d(split, SAMPLES)  # (n, 4, gh, gw)
+        return torch.cat([mean, *haar, edges], dim=1).flatten(2).transpose(1, 2)  # (n, T, C)

@@ -34,9 +34,7 @@ _SAME = 2e-6  # by which a GPU renders the same image again
 
 def numbers(optimizer: FIDE) -> Indices:
     """Axes (p,) of numbers: all but integers and choices."""
-    layout = optimizer.state.search.setting.layout
-    free = np.ones(optimizer.dim, bool) if layout is None else ~layout.discrete
-    return np.flatnonzero(free)
+    return optimizer.axes.continuous
 
 
 def std_around(
@@ -159,8 +157,8 @@ class _Around:
         best, views = self.optimizer.state.best, self.optimizer.views.views
         assert best is not None and best.solution.image is not None
         self._x, self._image = best.solution.x, best.solution.image
-        layout = self.optimizer.state.search.setting.layout
-        self._periodic = np.zeros(len(self._x), bool) if layout is None else layout.periodic
+        periodic = self.optimizer.axes.periodic
+        self._periodic = np.zeros(len(self._x), bool) if periodic is None else periodic
         p = len(numbers(self.optimizer))
         self._together = [pixels_together(p, *view.size, 3) for view in views]
 

@@ -40,7 +40,7 @@ def make_proposer(
             minimum=min(2 * popsize, remembered),
             screening=wanted and dim > popsize,
         )
-    if not options.has_network:
+    if options.proposer == "none":
         return None
     from fide_plugins.proposers.diffusion import DiffusionProposer
 

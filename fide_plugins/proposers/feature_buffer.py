@@ -6,7 +6,8 @@ G (n, n) = (e - o) (e - o)^T, over tokens and channels.
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, NamedTuple
+from dataclasses import dataclass, field
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -25,6 +26,7 @@ def for_jacobian(dim: int) -> int:
     return min(4 * dim + 20, MOST)
 
 
+@dataclass(eq=False)
 class FeatureBuffer(Stateful):
     """One channel subset: features of the images that are remembered, and their products.
 
@@ -37,6 +39,7 @@ class FeatureBuffer(Stateful):
     select: leave out tokens that do not vary.
     features: (n, f), deviations from the origin, of the tokens in use.
     gram: (n, n).  origin: (T, C).  used: (T,), the tokens that are not left out.
+    unchecked: images since it was last seen which tokens vary.
     """
 
     SCHEMA: ClassVar[dict[str, Schema]] = {
@@ -47,14 +50,14 @@ class FeatureBuffer(Stateful):
         "unchecked": whole(),
     }
 
-    def __init__(self, channels: int | None, select: bool = True) -> None:
-        self.channels, self.select = channels, select
-        self.features: Float64 = np.empty((0, 0))
-        self.gram: Float64 = np.empty((0, 0))
-        self.origin: Float64 = np.empty((0, 0))
-        self.used: Mask = np.empty(0, bool)
-        self._unchecked = 0  # images since it was last seen which tokens vary
-        self._toward: tuple[Tensor, Float64] | None = None  # a target, its products with all images
+    channels: int | None
+    select: bool = True
+    features: Float64 = field(default_factory=lambda: np.empty((0, 0)))
+    gram: Float64 = field(default_factory=lambda: np.empty((0, 0)))
+    origin: Float64 = field(default_factory=lambda: np.empty((0, 0)))
+    used: Mask = field(default_factory=lambda: np.empty(0, bool))
+    unchecked: int = 0
+    _toward: tuple[Tensor, Float64, Float64] | None = None
 
     @property
     def rounding(self) -> float:
@@ -84,24 +87,17 @@ class FeatureBuffer(Stateful):
         gram[n:, :n], gram[n:, n:] = cross, new @ new.T
         self.gram = gram
         self.features = np.concatenate([self.features, new])
-        self._unchecked += len(new)
-        if self.select and self._unchecked >= len(self.features):  # once for every set of images
+        self.unchecked += len(new)
+        if self.select and self.unchecked >= len(self.features):  # once for every set of images
             self._leave_out()
-            self._unchecked = 0
+            self.unchecked = 0
 
-    def products(self, target: Tensor, sources: Indices) -> Float64:
-        """(e* - e_i) . e_j for the sources i and all j, (m, n)."""
+    def toward(self, target: Tensor) -> tuple[Float64, Float64]:
+        """Features e* (f,) of a target, (T, C), in the tokens in use; e* . e_j for all j, (n,)."""
         if self._toward is None or self._toward[0] is not target:
             wanted = self._flat(self._seen(target[None]) - self.origin)[0]
-            self._toward = target, self.features @ wanted  # (n,)
-        missing: Float64 = self._toward[1] - self.gram[sources]
-        return missing
-
-    def missing(self, target: Tensor, source: int | Indices) -> Float64:
-        """e* - e_i for the source i, (f,), or for several (m, f), in the tokens in use."""
-        wanted = self._flat(self._seen(target[None]) - self.origin)[0]
-        missing: Float64 = wanted - self.features[source]
-        return missing
+            self._toward = target, wanted, self.features @ wanted
+        return self._toward[1:]
 
     def keep(self, which: Indices) -> None:
         """Forget all images but these (n,), in that order."""
@@ -142,7 +138,7 @@ class FeatureBuffer(Stateful):
         features[:, self.used[used]] = before[:, used[self.used]]
         self.features, self.used = features.reshape(n, features.shape[1] * channels), used
 
-    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
+    def load_state_dict(self, state: Plain, sides: Sides | None = None) -> None:
         """Put back what `state_dict` gave; ValueError if it is none.
 
         sides: n, and T, the number of tokens, if that is known.

@@ -6,25 +6,26 @@ minus those of b, and e* (f,) those of the target: the residual.  J (d, f): e ~ 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from fide_plugins.population import TrainingSample, columns, in_order
+from fide_plugins.population import BY_INDEX, TrainingSample, columns
 from fide_plugins.proposers.feature_buffer import FeatureBuffer, for_jacobian
 from fide_plugins.runtime.schema import (
+    Plain,
     Schema,
     Sides,
+    Stateful,
     anything,
     array,
-    check,
     each,
     flag,
-    form,
+    instance,
     whole,
 )
 from fide_plugins.types import Float64, Indices
@@ -98,14 +99,6 @@ def _solve(weighted: Float64, u: Float64, penalty: float) -> Float64:
     return np.asarray(np.linalg.solve(normal + p * np.eye(len(normal)), weighted.T), np.float64)
 
 
-_SCHEMA: Schema = {
-    "x": array("n", "d"),
-    "losses": array("n"),
-    "buffer": anything,
-    "new": each(form(TrainingSample)),
-    "due": flag,
-    "left": whole(),
-}
 _SMALLEST_PENALTY = 1e-100  # whose square can be divided by
 _LEAST_KEPT = 0.01
 _FAR = 6.0  # standard deviations between a sample and the best candidate
@@ -114,7 +107,7 @@ _MOST = 3  # generations' worth of steps between two of them, where all of the r
 
 
 @dataclass(eq=False)
-class GaussNewtonSteps:
+class GaussNewtonSteps(Stateful):
     """Gauss-Newton steps from the best candidate, with a Jacobian fitted to evaluated candidates.
 
     x_new = x_b + std * (J J^T + lambda)^-1 (J e* + g lambda (z - x_b) / std)
@@ -145,6 +138,14 @@ class GaussNewtonSteps:
     least_promise : see above.
     """
 
+    SCHEMA: ClassVar[dict[str, Schema]] = {
+        "x": array("n", "d"),
+        "losses": array("n"),
+        "buffer": anything,
+        "new": each(instance(TrainingSample)),
+        "due": flag,
+        "remaining": whole(),
+    }
     dim: int
     capacity: int | None = None
     channels: int | None = None
@@ -157,11 +158,8 @@ class GaussNewtonSteps:
     least_promise: float = 0.25
 
     def __post_init__(self) -> None:
-        self.most = self.capacity or for_jacobian(self.dim)
-        self.forget()
-
-    def forget(self) -> None:
         """Another search begins elsewhere, with a generation."""
+        self.most = self.capacity or for_jacobian(self.dim)
         self.x: Float64 = np.empty((0, self.dim))
         """(n, d), candidates that the model knows."""
         self._losses: Float64 = np.empty(0)
@@ -170,7 +168,10 @@ class GaussNewtonSteps:
         self._new: list[TrainingSample] = []  # the model does not know them yet
         self.due = False
         """Whether a generation was completed and nobody has asked since."""
-        self._left = 0
+        self.remaining = 0
+        """Steps that may still be asked before the next generation."""
+
+    forget = __post_init__
 
     # -- when, and how many ------------------------------------------------------------------------
 
@@ -189,19 +190,24 @@ class GaussNewtonSteps:
 
         target: tokens (T, C).  std: (d,), of the search distribution.
         """
-        if not (self.due or self._left):
+        if not (self.due or self.remaining):
             return 0
         if self._new:
-            self.update(*columns(in_order(self._new)), std)
+            self.update(*columns(sorted(self._new, key=BY_INDEX)), std)
             self._new = []
-        enough = len(self.x) >= self.minimum
-        promise = self.promised(target, std) if enough else 0.0
+        promise = 0.0  # share of |e*|^2 that the model's own step would remove, by the model
+        if len(self.x) >= self.minimum:
+            _, jacobian, slope = self._model(target, std)
+            steps, _ = self._damped(jacobian, slope, np.ones((1, 1)))
+            residual = self._buffer.toward(target)[0] - self._buffer.features[jacobian.best]
+            removed = _decrease(jacobian, slope, steps)[0]
+            promise = float(removed) / (float(residual @ residual) + _TINY)
         if not promise >= self.least_promise:  # or it is NaN
-            self._left = 0
+            self.remaining = 0
         elif self.due:
-            self._left = round(_MOST * promise * popsize)
+            self.remaining = round(_MOST * promise * popsize)
         self.due = False
-        return self._left
+        return self.remaining
 
     def new_ones(self, x: Float64, is_out: Callable[[Float64], bool]) -> Float64:
         """Those of steps x (m, d), as they are rendered, before the first that is not new.
@@ -211,17 +217,9 @@ class GaussNewtonSteps:
         for i, row in enumerate(x):
             known = (self.x == row).all(axis=1).any() or (x[:i] == row).all(axis=1).any()
             if known or is_out(row):
-                self._left = i
+                self.remaining = i
                 return x[:i]
         return x
-
-    def taken(self, n: int) -> None:
-        """Note that n of those that are left were asked; none are, once a generation has begun."""
-        self._left = max(0, self._left - n)
-
-    def end(self) -> None:
-        """Take no more before the generation that begins now."""
-        self.due, self._left = False, 0
 
     # -- the model ---------------------------------------------------------------------------------
 
@@ -262,22 +260,20 @@ class GaussNewtonSteps:
         proposals: Float64 = self.x[jacobian.best] + scale * (steps @ jacobian.vectors.T)
         return proposals
 
-    def promised(self, target: Tensor, std: Float64) -> float:
-        """Share of the residual's |e*|^2 that its own step would remove, by the model; at most 1.
-
-        target: tokens (T, C).  std: (d,), of the search distribution.
-        """
-        _, jacobian, slope = self._model(target, std)
-        steps, _ = self._damped(jacobian, slope, np.ones((1, 1)))
-        residual = self._buffer.missing(target, jacobian.best)
-        removed = _decrease(jacobian, slope, steps)[0]
-        return float(removed) / (float(residual @ residual) + _TINY)
-
     def _damped(
         self, jacobian: Jacobian, slope: Float64, damping: Float64
     ) -> tuple[Float64, Float64]:
-        """Steps (m, d), none too long, and lambda (m, 1), of damping (m, 1); see `propose`."""
-        penalty: Float64 = damping * _balanced(jacobian, slope) + jacobian.rounding + _TINY
+        """Steps (m, d), none too long, and lambda (m, 1), of damping (m, 1); see `propose`.
+
+        slope: (d,), J e* in the basis of the eigenvectors.  Damping 1 is the lambda whose step
+        delta minimizes |e* - delta J|^2 + c |delta|^4, lambda = 2 c |delta|^2, on a grid.
+        """
+        unit = max(float(jacobian.values.mean()), jacobian.rounding, _SMALLEST_PENALTY)
+        grid = unit * np.logspace(-10, 2, 73)
+        squared = np.square(slope / (jacobian.values + grid[:, None])).sum(axis=1)  # |delta|^2
+        enough = grid >= 2 * jacobian.curvature * squared
+        balanced = float(grid[int(np.argmax(enough)) if enough.any() else -1])
+        penalty: Float64 = damping * balanced + jacobian.rounding + _TINY
         steps = slope / (jacobian.values + penalty)
         lengths = np.linalg.norm(steps, axis=1, keepdims=True)
         factors = np.minimum(1.0, self.longest * np.sqrt(self.dim) / (lengths + _TINY))
@@ -296,45 +292,16 @@ class GaussNewtonSteps:
             fit = fit_jacobian(u, self._buffer.gram, best, self.ridge, self._buffer.rounding)
             self._fit = scale, fit
         jacobian = self._fit[1]
-        b = jacobian.best
-        products = self._buffer.features @ self._buffer.missing(target, b)  # (n,): e + e_b with e*
+        b, (wanted, _) = jacobian.best, self._buffer.toward(target)
+        missing = wanted - self._buffer.features[b]  # e*
+        products = self._buffer.features @ missing  # (n,): e + e_b with e*
         slope: Float64 = jacobian.vectors.T @ (jacobian.Q @ (products - products[b]))
         return scale, jacobian, slope
 
-    # -- saving ------------------------------------------------------------------------------------
-
-    def state_dict(self) -> dict[str, Any]:
-        """Everything that changes."""
-        return {
-            "x": self.x,
-            "losses": self._losses,
-            "buffer": self._buffer.state_dict(),
-            "new": [sample.state_dict() for sample in self._new],
-            "due": self.due,
-            "left": self._left,
-        }
-
-    def load_state_dict(self, state: Mapping[str, Any], sides: Sides, device: Any) -> None:
-        """Put back what `state_dict` gave, tokens on the device; ValueError if it is none."""
-        own = {**sides, "d": self.dim}
-        check(state, _SCHEMA, own, "steps")
+    def load_state_dict(self, state: Plain, sides: Sides | None = None) -> None:
+        """Put back what `state_dict` gave; ValueError if it is none.  sides: T, C, device."""
         self._fit = None
-        self.x, self._losses = state["x"], state["losses"]
-        self._buffer.load_state_dict(state["buffer"], own)
-        self._new = [TrainingSample.from_state(sample, device) for sample in state["new"]]
-        self.due, self._left = state["due"], state["left"]
-
-
-def _balanced(jacobian: Jacobian, slope: Float64) -> float:
-    """Lambda whose step delta minimizes |e* - delta J|^2 + c |delta|^4: lambda = 2 c |delta|^2.
-
-    slope: (d,), J e* in the basis of the eigenvectors.  Within a factor of 1.5, on a grid.
-    """
-    scale = max(float(jacobian.values.mean()), jacobian.rounding, _SMALLEST_PENALTY)
-    grid = scale * np.logspace(-10, 2, 73)
-    lengths = np.square(slope / (jacobian.values + grid[:, None])).sum(axis=1)  # |delta|^2
-    enough = grid >= 2 * jacobian.curvature * lengths
-    return float(grid[int(np.argmax(enough)) if enough.any() else -1])
+        super().load_state_dict(state, {**(sides or {}), "d": self.dim})
 
 
 def _decrease(jacobian: Jacobian, slope: Float64, steps: Float64) -> Float64:

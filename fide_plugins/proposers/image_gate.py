@@ -88,14 +88,9 @@ class ImageGate(Stateful):
         """
         return self.strength == 1.0 and (not self.guarded or self._noted >= _ENOUGH)
 
-    @property
-    def proposed(self) -> float:
-        """Expected fraction of the next generation that is proposed, in [0, 1]."""
-        return self.fraction * self.strength
-
     def number(self, popsize: int, rng: np.random.Generator) -> int:
         """How many of a generation to propose, at random around the expected number."""
-        share = self.proposed
+        share = self.fraction * self.strength
         return min(int(share * popsize + rng.random()), popsize - 1) if share else 0
 
     def note_known(self) -> None:
@@ -113,13 +108,16 @@ class ImageGate(Stateful):
         self._noted += 1
         squared = (tokens - target.to(tokens.device)).square()
         distances = [squared[..., :channels].sum(dim=(1, 2)) for channels in self._channel_subsets]
-        ranks = _ranks(losses)
-        rho = np.mean([_correlation(_ranks(d.cpu().numpy()), ranks) for d in distances])
+        ranks, rho = _ranks(losses), 0.0
+        for own in (_ranks(d.cpu().numpy()) for d in distances):
+            norm = float(np.sqrt((own @ own) * (ranks @ ranks)))
+            rho += float(own @ ranks) / norm if norm > 0 else 0.0
+        rho /= len(distances)
         keep = float(np.exp(-n / _MEMORY))
-        self._sum = keep * self._sum + n * float(rho)
+        self._sum = keep * self._sum + n * rho
         self._variance = keep**2 * self._variance + n**2 / (n - 1)
         keep = float(np.exp(-n / _SHORT_MEMORY))
-        self._recent = keep * self._recent + n * float(rho)
+        self._recent = keep * self._recent + n * rho
         self._weight = keep * self._weight + n
 
     def note_ranks(self, losses: Float64, proposed: Mask) -> None:
@@ -140,12 +138,6 @@ class ImageGate(Stateful):
             ranks[failed] = ranks[failed].mean()  # all behind the others, and none before another
         lead = (ranks[~proposed].mean() - ranks[proposed].mean()) / (len(losses) / 2)
         self.fraction = float(np.clip(self.fraction + self._rate * lead, _SMALLEST, _LARGEST))
-
-
-def _correlation(u: Float64, v: Float64) -> float:
-    """Of ranks u and v (n,) around 0; 0 where one of them is constant."""
-    norm = float(np.sqrt((u @ u) * (v @ v)))
-    return float(u @ v) / norm if norm > 0 else 0.0
 
 
 def _ranks(values: Float64) -> Float64:

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 
 FORMAT = 2
+SOLUTIONS = "solutions.ckpt"
+"""Images of further solutions."""
 TARGET_FILE = "target.ckpt"
 """The target of a run of the lab, to the last bit."""
 _OF_PICTURES = {
@@ -147,14 +149,6 @@ def write_checkpoint(path: Path, record: Record, optimizer: Optimizer) -> None:
     optimizer.save(path / name)
     checkpoint.write(path / CHECKPOINT, _RUN, {"record": record.state(), "optimizer": name})
     _remove_optimizers(path, but=name)
-
-
-def remove_checkpoint(path: Path) -> None:
-    """Remove the state from the folder `path`, as far as that is possible."""
-    for name in (CHECKPOINT, TARGET_FILE):
-        with suppress(OSError):
-            (path / name).unlink()
-    _remove_optimizers(path)
 
 
 def _remove_optimizers(path: Path, but: str = "") -> None:

@@ -59,53 +59,53 @@ class _OneThread(ContextDecorator):
 
     def __enter__(self) -> None:
         if _THREAD.depth == 0:
-            _limit()
+            loaded = tuple(name in sys.modules for name in _LIBRARIES)
+            if loaded != _PROCESS.loaded:  # to look for them takes milliseconds
+                _find(loaded)
+            if loaded[-1]:
+                sys.modules["torch"].get_num_threads()  # a thread's first question sets OpenMP's
+            _THREAD.before = _limited(_PROCESS.by_thread)
+            with _PROCESS.lock:
+                if _PROCESS.inside == 0:
+                    _PROCESS.before = _limited(_PROCESS.by_process)
+                _PROCESS.inside += 1
         _THREAD.depth += 1
 
     def __exit__(self, *exception: object) -> None:
         _THREAD.depth -= 1
         if _THREAD.depth == 0:
-            _restore()
+            with _PROCESS.lock:
+                _PROCESS.inside -= 1
+                for state in (_THREAD,) if _PROCESS.inside else (_THREAD, _PROCESS):
+                    for put, before in state.before:
+                        put(before)
+                    state.before = ()
 
 
 class _UserThreads(ContextDecorator):
     """Within it the calling thread has what it has outside all blocks of `one_thread`."""
 
     def __enter__(self) -> None:
-        _THREAD.outer += (-1 if _PROCESS.forked else _THREAD.depth,)
-        if _PROCESS.forked:
+        depth = -1 if _PROCESS.forked else _THREAD.depth
+        _THREAD.outer += (depth,)
+        if depth < 0:
             one_thread.__enter__()
-            return
-        if _THREAD.depth:
-            _restore()
-        _THREAD.depth = 0
+        elif depth:
+            _THREAD.depth = 1
+            one_thread.__exit__()
 
     def __exit__(self, *exception: object) -> None:
         *outer, depth = _THREAD.outer
         _THREAD.outer = tuple(outer)
         if depth < 0:
             one_thread.__exit__()
-            return
-        if depth:
-            _limit()
-        _THREAD.depth = depth
+        elif depth:
+            one_thread.__enter__()
+            _THREAD.depth = depth
 
 
 one_thread = _OneThread()
 user_threads = _UserThreads()
-
-
-def _limit() -> None:
-    loaded = tuple(name in sys.modules for name in _LIBRARIES)
-    if loaded != _PROCESS.loaded:  # to look for them takes milliseconds
-        _find(loaded)
-    if loaded[-1]:
-        sys.modules["torch"].get_num_threads()  # a thread's first question sets OpenMP's number
-    _THREAD.before = _limited(_PROCESS.by_thread)
-    with _PROCESS.lock:
-        if _PROCESS.inside == 0:
-            _PROCESS.before = _limited(_PROCESS.by_process)
-        _PROCESS.inside += 1
 
 
 def _limited(pools: Iterable[_Pool]) -> tuple[tuple[_Put, int], ...]:
@@ -117,20 +117,6 @@ def _limited(pools: Iterable[_Pool]) -> tuple[tuple[_Put, int], ...]:
             put(1)
             changed.append((put, before))
     return tuple(changed)
-
-
-def _restore() -> None:
-    _put_back(_THREAD)
-    with _PROCESS.lock:
-        _PROCESS.inside -= 1
-        if _PROCESS.inside == 0:
-            _put_back(_PROCESS)
-
-
-def _put_back(state: _Thread | _Process) -> None:
-    for put, before in state.before:
-        put(before)
-    state.before = ()
 
 
 def _find(loaded: tuple[bool, ...]) -> None:
@@ -218,8 +204,8 @@ def _after_fork_in_child() -> None:
         lock.held = threading.RLock()
     _PROCESS.lock, _PROCESS.forked = threading.Lock(), True
     _PROCESS.inside = min(_THREAD.depth, 1)  # of threads that were inside, only this one is left
-    if not _PROCESS.inside:
-        _put_back(_PROCESS)
+    for put, before in () if _PROCESS.inside else _PROCESS.before:
+        put(before)
 
 
 if hasattr(os, "register_at_fork"):  # not on Windows, which has no fork

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -197,8 +197,7 @@ class CMAES(Stateful):
         y_w = self._weights[: self._mu] @ y[: self._mu]  # eq. 41
         self.mean = self.mean + self.sigma * y_w  # eq. 42
         self.generation += 1
-        long_path = self._update_paths(y_w)
-        self._update_covariance(y, lengths, long_path)
+        self._adapt(y, y_w, lengths)
         if self._two_point is None:
             path = float(np.linalg.norm(self.p_sigma))
             rate = self._c_sigma / self._d_sigma * (path / self._chi - 1)
@@ -207,7 +206,6 @@ class CMAES(Stateful):
             lost = pair is None or bool(injected[list(pair)].any())
             factor = self._two_point.factor(y_w, losses, None if lost else pair)
         self._scale_sigma(factor)
-        self._rescale()
         far = lengths.max() > _OUTLIER * self._longest_step  # C may be singular, but for rounding
         if far or self.generation % self._decompose_every == 0:
             self._decompose()
@@ -249,8 +247,11 @@ class CMAES(Stateful):
         shortened: Float64 = self.mean + self.sigma * y
         return shortened
 
-    def _update_paths(self, y_w: Float64) -> bool:
-        """Both evolution paths; True where p_c must pause because p_sigma is long."""
+    def _adapt(self, y: Float64, y_w: Float64, lengths: Float64) -> None:
+        """Both evolution paths, and C by its rank-one and rank-mu update (eqs. 46 and 47).
+
+        A scale of C that has drifted goes to sigma; the distribution is the same to the bit.
+        """
         z_w = self._B @ ((y_w @ self._B) / self._D)  # C^(-1/2) y_w
         c, mu_eff = self._c_sigma, self._mu_eff
         self.p_sigma = (1 - c) * self.p_sigma + np.sqrt(c * (2 - c) * mu_eff) * z_w  # eq. 43
@@ -260,30 +261,20 @@ class CMAES(Stateful):
         )
         c = self._c_c
         self.p_c = (1 - c) * self.p_c  # eq. 45
-        if not long_path:
+        if not long_path:  # else it pauses
             self.p_c = self.p_c + np.sqrt(c * (2 - c) * mu_eff) * y_w
-        return long_path
-
-    def _update_covariance(self, y: Float64, lengths: Float64, long_path: bool) -> None:
-        """Rank-one and rank-mu update (eqs. 46 and 47)."""
         shrink = self.dim / (lengths**2 + 1e-8)
         w = self._weights * np.where(self._weights >= 0, 1.0, shrink)
-        pause = self._c_c * (2 - self._c_c) if long_path else 0.0
+        pause = c * (2 - c) if long_path else 0.0
         keep = 1 + self._c_1 * pause - self._c_1 - self._c_mu * self._weights.sum()
         rank_one = np.outer(self.p_c, self.p_c)
         C = keep * self.C + self._c_1 * rank_one + self._c_mu * (y.T * w) @ y
         self.C = (C + C.T) / 2  # the last product is symmetric but for rounding
-
-    def _rescale(self) -> None:
-        """Give a scale of C that has drifted to sigma; the distribution is the same to the bit."""
         scale = np.sqrt(np.trace(self.C) / self.dim)
-        if 1 / _FARTHEST <= scale <= _FARTHEST:
-            return
-        power = float(2.0 ** np.round(np.log2(scale)))
-        self.sigma *= power
-        self.p_c = self.p_c / power
-        self.C = self.C / power**2
-        self._D = self._D / power
+        if not 1 / _FARTHEST <= scale <= _FARTHEST:
+            power = float(2.0 ** np.round(np.log2(scale)))
+            self.sigma *= power
+            self.p_c, self.C, self._D = self.p_c / power, self.C / power**2, self._D / power
 
     def _scale_sigma(self, factor: float) -> None:
         self.sigma = float(np.clip(self.sigma * factor, _SMALLEST_SIGMA, _LARGEST_SIGMA))
@@ -298,7 +289,7 @@ class CMAES(Stateful):
             self.C = (self.C + self.C.T) / 2
         self._D = np.sqrt(eigenvalues)
 
-    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
+    def load_state_dict(self, state: Plain, sides: Sides | None = None) -> None:
         """Go on, bit for bit, where `state_dict` was taken; ValueError if it is none."""
         if (state.get("two_point") is None) != (self._two_point is None):
             raise ValueError("distribution['two_point'] is not of so many parameters")

@@ -31,13 +31,6 @@ def into(z: Float64, periodic: Mask | None = None) -> Float64:
     return np.clip(x, 0.0, 1.0)
 
 
-def inside(x: Float64, periodic: Mask | None = None) -> Float64:
-    """Points (..., d) that somebody wants, in the unit cube: wrapped where periodic, or clipped."""
-    if periodic is not None:
-        x = np.where(periodic, into(x, periodic), x)
-    return np.clip(x, 0.0, 1.0)
-
-
 def distance(x: Float64, y: Float64, periodic: Mask | None = None) -> Float64:
     """Distances of coordinates x and y (..., d) of the cube, the shorter way where periodic."""
     apart: Float64 = np.abs(x - y)
@@ -124,79 +117,27 @@ _WIDE = 0.3  # standard deviation on an axis with cells where nothing is known; 
 _USUAL = 1 / 6  # that on other axes
 
 
-class Mixed(Stateful):
-    """The maps between z and x, and the margin, where a layout says what is discrete or periodic.
-
-    A: (d,), see above.
-    """
-
-    SCHEMA: ClassVar[dict[str, Schema]] = {"A": array("axes", low=1e-30, high=1e30)}
-
-    def __init__(self, layout: Layout) -> None:
-        self.layout, self._periodic = layout, layout.wrapped
-        self._has_cells = bool(layout.discrete.any())
-        self.A: Float64 = np.ones(layout.dim)
-
-    def widened(self, std: Float64) -> Float64:
-        """Standard deviations (d,) of a search that knows nothing: at least 0.3 on discrete axes.
-
-        With the usual 1/6 the integers at the ends would hardly be tried.
-        """
-        widened = np.maximum(std, _WIDE * np.minimum(1.0, std / _USUAL))
-        return np.where(self.layout.discrete, widened, std)
-
-    def stretched(self, z: Float64, mean: Float64) -> Float64:
-        """V (n, d) of candidates z (n, d)."""
-        return mean + self.A * (z - mean) if self._has_cells else z
-
-    def reflected(self, v: Float64) -> Float64:
-        """Points x (n, d) of the cube for v (n, d), reflected at its walls, or wrapped."""
-        return into(self.layout.snap(v) if self._has_cells else v, self._periodic)
-
-    def clipped(self, proposed: Float64) -> Float64:
-        """Points x (n, d) of the cube for proposals (n, d), which are clipped or wrapped."""
-        x = inside(proposed, self._periodic)
-        return self.layout.snap(x) if self._has_cells else x
-
-    def closest(self, x: Float64, mean: Float64) -> Float64:
-        """The z (n, d) of points x (n, d) that is closest to the mean (d,)."""
-        v = closest(x, mean, self._periodic)
-        if not self._has_cells:
-            return v
-        return mean + (np.where(self.layout.discrete, x, v) - mean) / self.A
-
-    def correct(self, distribution: CMAES) -> None:
-        """Move the mean, and change A, so that no value is given up."""
-        if not self._has_cells:
-            return
-        alpha = 1 / (distribution.dim * distribution.popsize)
-        lower, upper = self.layout.cells(distribution.mean)
-        std = np.maximum(distribution.std, np.finfo(np.float64).tiny)
-        mean, stretched = correct_steps(distribution.mean, self.A * std, lower, upper, alpha)
-        for block in self.layout.choices:
-            cov = distribution.sigma**2 * distribution.C[block, block]
-            mean[block] = correct_choice(mean[block], cov, alpha)
-        self.A = np.where(self.layout.discrete, stretched / std, 1.0)
-        distribution.mean = mean
-
-
-# -- parameters of several axes, and of several values ---------------------------------------------
-
-
 class Axes:
-    """Which axes of the cube are one parameter, and which wrap around.
+    """The axes of the cube: which are one parameter, wrap around, or have cells.
 
     A choice of n > 2 values has n axes, of which the largest coordinate decides: moved alone, they
     mostly change nothing, so moves move them together.
 
     dim: d.  layout: what is discrete or periodic; None: nothing.
+    discrete, periodic: (d,), axes with cells, and those that wrap around; None: there are none.
     parameter_of: (d,), number of the parameter of each axis, from 0.
-    axes_of: axes of each parameter.
+    axes_of: axes of each parameter.  continuous: those of no integer and no choice.
     """
 
     def __init__(self, dim: int, layout: Layout | None = None) -> None:
-        self.dim = dim
+        self.dim, self.layout = dim, layout
         self.periodic = None if layout is None else layout.wrapped
+        self.discrete: Mask | None = None
+        if layout is not None and layout.discrete.any():
+            self.discrete = layout.discrete
+        self.continuous: Indices = np.arange(dim)
+        if self.discrete is not None:
+            self.continuous = np.flatnonzero(~self.discrete)
         first: Indices = np.arange(dim)  # axis of the parameter of each axis
         for block in () if layout is None else layout.choices:
             first[block] = block.start
@@ -219,8 +160,43 @@ class Axes:
         return distance(x, y, periodic if periodic is None or which is None else periodic[which])
 
     def inside(self, x: Float64) -> Float64:
-        """Points (..., d) of the cube: periodic axes are wrapped, all others are clipped."""
-        return inside(x, self.periodic)
+        """Points (..., d) that somebody wants, in the cube: wrapped where periodic, or clipped."""
+        if self.periodic is not None:
+            x = np.where(self.periodic, into(x, self.periodic), x)
+        return np.clip(x, 0.0, 1.0)
+
+    def clipped(self, x: Float64) -> Float64:
+        """The same points (n, d) as they are rendered: integers and choices in their cells."""
+        x = self.inside(x)
+        return x if self.discrete is None or self.layout is None else self.layout.snap(x)
+
+    def reflected(self, v: Float64) -> Float64:
+        """Points (n, d) of the cube for v (n, d), reflected at its walls, or wrapped."""
+        cells = None if self.discrete is None else self.layout
+        return into(v if cells is None else cells.snap(v), self.periodic)
+
+    def widened(self, std: Float64) -> Float64:
+        """Standard deviations (d,) of a search that knows nothing: at least 0.3 on discrete axes.
+
+        With the usual 1/6 the integers at the ends would hardly be tried.
+        """
+        if self.discrete is None:
+            return std
+        widened = np.maximum(std, _WIDE * np.minimum(1.0, std / _USUAL))
+        return np.where(self.discrete, widened, std)
+
+    def correct(self, distribution: CMAES, stretch: Float64) -> Float64:
+        """Move the mean so that no value is given up; returns how A (d,) changes for that."""
+        assert self.layout is not None
+        alpha = 1 / (distribution.dim * distribution.popsize)
+        lower, upper = self.layout.cells(distribution.mean)
+        std = np.maximum(distribution.std, np.finfo(np.float64).tiny)
+        mean, stretched = correct_steps(distribution.mean, stretch * std, lower, upper, alpha)
+        for block in self.layout.choices:
+            cov = distribution.sigma**2 * distribution.C[block, block]
+            mean[block] = correct_choice(mean[block], cov, alpha)
+        distribution.mean = mean
+        return np.where(self.layout.discrete, stretched / std, 1.0)
 
 
 # -- integers and choices --------------------------------------------------------------------------
@@ -233,31 +209,29 @@ _BEYOND = 1e-9  # beyond an edge, and in the next cell
 class Values(Stateful):
     """Which other values integers and choices can have, and which combinations were searched.
 
-    axes: those of one parameter.  layout: what is discrete in the cube.  None: nothing is.
+    axes: those of one parameter, and what is discrete; None: nothing is.
     discrete: (d,), axes on which many points stand for one value.
     """
 
     SCHEMA: ClassVar[dict[str, Schema]] = {"searched": array("m", "discrete", low=0.0, high=1.0)}
 
-    def __init__(self, axes: Axes | None = None, layout: Layout | None = None) -> None:
-        self._axes, self._layout = axes, layout
-        self.discrete = np.zeros(1, bool) if layout is None else layout.discrete
+    def __init__(self, axes: Axes | None = None) -> None:
+        self._axes = axes
+        self.discrete: Mask = np.zeros(1, bool)
+        if axes is not None and axes.discrete is not None:
+            self.discrete = axes.discrete
         self._searched = np.empty((0, int(self.discrete.sum())))  # the oldest first
-
-    def forget(self) -> None:
-        """Begin again, for another target."""
-        self._searched = self._searched[:0]
 
     def others(self, x: Float64) -> Float64:
         """Copies (n, d) of a rendered point x (d,), each with another value of one parameter.
 
         All values of a choice; of an integer those up to 8 cells away, and 16, 32, ... 512.
         """
-        if self._layout is None or self._axes is None:
+        if self._axes is None or self._axes.layout is None:
             return np.empty((0, len(x)))
         parameters = [axes for axes in self._axes.axes_of if self.discrete[axes[0]]]
         rows = [row for axes in parameters for row in self._changed(x, axes)]
-        every = self._layout.snap(np.array(rows).reshape(-1, len(x)))
+        every = self._axes.layout.snap(np.array(rows).reshape(-1, len(x)))
         every = every[(every != x).any(axis=1)]
         distinct: Float64 = every[np.sort(np.unique(every, axis=0, return_index=True)[1])]
         return distinct
@@ -268,9 +242,9 @@ class Values(Stateful):
             rows = np.tile(x, (len(axes), 1))
             rows[:, axes] = np.eye(len(axes))
             return rows
-        assert self._layout is not None
+        assert self._axes is not None and self._axes.layout is not None
         (i,) = axes
-        edges = [float(edge[i]) for edge in self._layout.cells(x) if np.isfinite(edge[i])]
+        edges = [float(edge[i]) for edge in self._axes.layout.cells(x) if np.isfinite(edge[i])]
         values = [edge + np.copysign(_BEYOND, edge - x[i]) for edge in edges]
         width = 2 * min((abs(edge - x[i]) for edge in edges), default=1.0)
         values += [v for n in _CELLS_AWAY for v in (x[i] - n * width, x[i] + n * width)]

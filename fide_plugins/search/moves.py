@@ -78,20 +78,15 @@ class Known:
     target: Tensor
     channels: int | None
     exchangeability: Exchangeability
-    removal: Removal
     sensitivity: Sensitivity
     axes: Axes
+    removal: Removal = field(default_factory=Removal)
     place: Callable[[Float64], Float64] = np.copy
     incumbent: TrainingSample | None = None
     optima: Optima = field(default_factory=Optima)
     values: Values = field(default_factory=Values)
     blurs: bool = False
     only_coarse: bool = False
-
-    @property
-    def dim(self) -> int:
-        """Number of parameters d."""
-        return len(self.x0)
 
     @property
     def current(self) -> TrainingSample:
@@ -133,6 +128,7 @@ class Move(ABC):
         (`policy.Choice`); otherwise the policy says when it is due.
     has_goal: whether its search is over when it has no hope to become better than the incumbent.
     has_more: whether `draw` gives other candidates each time, which are as good as the first ones.
+    with_blocks: whether it is for scenes with exchangeable blocks, or without; None: for both.
     wide: standard deviation in the parameters that were changed, in units of sigma0.
     """
 
@@ -141,11 +137,12 @@ class Move(ABC):
     from_incumbent: ClassVar[bool] = True
     has_goal: ClassVar[bool] = True
     has_more: ClassVar[bool] = True
+    with_blocks: ClassVar[bool | None] = None
     wide: ClassVar[float] = WIDE
 
-    @abstractmethod
     def possible(self, known: Known) -> bool:
         """Whether the move applies to this scene, as far as is known."""
+        return self.with_blocks in (None, known.exchangeability.blocks is not None)
 
     def needs(self, known: Known) -> Stage | None:
         """Stage that must come before the restart candidates; None if nothing is missing."""
@@ -167,10 +164,6 @@ class RelocateGroup(Move):
     """A group of parameters, by exchangeability or sensitivity, at a random place."""
 
     name = "relocate group"
-
-    def possible(self, known: Known) -> bool:
-        """Whether there is more than one parameter."""
-        return known.dim > 1
 
     def needs(self, known: Known) -> Stage | None:
         """Sensitivity samples, once, where blocks are not known."""
@@ -203,10 +196,7 @@ class Split(Move):
 
     name = "split"
     prior_gain = 0.5
-
-    def possible(self, known: Known) -> bool:
-        """Whether there are exchangeable blocks."""
-        return known.exchangeability.blocks is not None
+    with_blocks = True
 
     def needs(self, known: Known) -> Stage | None:
         """Removal costs of the incumbent."""
@@ -243,16 +233,13 @@ class RelocateSegment(Move):
     """
 
     name = "relocate segment"
-
-    def possible(self, known: Known) -> bool:
-        """Whether no exchangeable blocks say what belongs together."""
-        return known.dim > 1 and known.exchangeability.blocks is None
+    with_blocks = False
 
     def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
         """Copies (n, d) of the incumbent, each with one segment uniform in the unit cube."""
         x = known.copies(n)
         for row in x:
-            chosen = known.axes.together(segment(known.dim, rng))
+            chosen = known.axes.together(segment(known.axes.dim, rng))
             row[chosen] = rng.random(len(chosen))
         return x
 
@@ -328,15 +315,12 @@ class HalfTurn(Move):
     """
 
     name = "half turn"
+    with_blocks = False
     wide = 1 / 4  # the ranges of the angles are a guess
-
-    def possible(self, known: Known) -> bool:
-        """Whether there is anything continuous, and no blocks are exchangeable."""
-        return known.exchangeability.blocks is None and len(_continuous(known)) > 0
 
     def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
         """Copies (n, d) of the incumbent, each with some neighbors turned."""
-        angles, periodic = _continuous(known), known.axes.periodic
+        angles, periodic = known.axes.continuous, known.axes.periodic
         x = known.copies(n)
         for row in x:
             length = int(rng.integers(1, min(3, len(angles)) + 1))
@@ -350,11 +334,6 @@ class HalfTurn(Move):
                     half = 0.5 if exact else float(rng.uniform(0.5, _LONGEST))
                     row[axis] += (1.0 if row[axis] < 0.5 else -1.0) * half
         return known.axes.inside(x)
-
-
-def _continuous(known: Known) -> Indices:
-    """Axes that are neither an integer's nor a choice's."""
-    return np.flatnonzero(~np.broadcast_to(known.values.discrete, known.dim))
 
 
 _VALUE_WIDTH = 1 / 4  # of sigma0, in numbers: they adapt to the value
@@ -382,7 +361,7 @@ class ChangeValue(Move):
         """Hold the value that was changed; be narrow in all others, and wider in numbers."""
         known.values.note(x)
         width = np.where(known.values.discrete, NARROW, _VALUE_WIDTH)
-        fixed = np.zeros(known.dim, bool)
+        fixed = np.zeros(known.axes.dim, bool)
         fixed[known.axes.together(np.flatnonzero(x != known.current.x))] = True
         fixed &= known.values.discrete  # x may be another point of the user's, with other numbers
         return Start(x, width * known.sigma0, fixed=fixed)
@@ -414,10 +393,10 @@ class RandomRestart(Move):
         low, high = known.x0 - _REACH * known.sigma0, known.x0 + _REACH * known.sigma0
         clipped = np.clip(low, 0.0, 1.0), np.clip(high, 0.0, 1.0)
         if known.axes.periodic is None:
-            return rng.uniform(*clipped, (n, known.dim))
+            return rng.uniform(*clipped, (n, known.axes.dim))
         around = np.maximum(low, known.x0 - 0.5), np.minimum(high, known.x0 + 0.5)
         low, high = np.where(known.axes.periodic, around, clipped)
-        return known.axes.inside(rng.uniform(low, high, (n, known.dim)))
+        return known.axes.inside(rng.uniform(low, high, (n, known.axes.dim)))
 
     def begin_at(self, known: Known, x: Float64) -> Start:
         """Begin around one of them."""

@@ -7,18 +7,28 @@ unit cube that is rendered.  The maps between them are those of `mixed`.
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from fide_plugins.options import Options
 from fide_plugins.population import Candidate, mirrored_pair, search_columns
-from fide_plugins.runtime.schema import Plain, Schema, Sides, Stateful, anything, each, real, side
+from fide_plugins.runtime.schema import (
+    Plain,
+    Schema,
+    Sides,
+    Stateful,
+    anything,
+    array,
+    each,
+    maybe,
+    real,
+    side,
+)
 from fide_plugins.search.cma_es import CMAES
-from fide_plugins.search.mixed import Mixed, closest, inside, into
+from fide_plugins.search.mixed import Axes, closest
 from fide_plugins.search.moves import Start
-from fide_plugins.space.layout import Layout
 from fide_plugins.types import Float64
 
 if TYPE_CHECKING:
@@ -120,33 +130,28 @@ class Setting:
     popsize: k; a start may multiply it.
     sigma0: (d,), standard deviation of the first search.
     options: `guard_search`, `patience`, `improvement`.
-    layout: what is discrete or periodic in the cube; None: nothing.
+    axes: of the cube.
     validity: which points may be rendered; None: all.
     """
 
     popsize: int
     sigma0: Float64
     options: Options
-    layout: Layout | None = None
+    axes: Axes
     validity: Validity | None = None
-
-    def valid_start(self, start: Start, number: int) -> Start:
-        """Where search `number` begins, at a valid point."""
-        if self.validity is None:
-            return start
-        return replace(start, mean=self.validity.start(start.mean, number))
 
 
 class Search(Stateful):
     """A search distribution, refined until it stalls, collapses, or has no hope.
 
     start: where it begins.  goal: loss that it has to beat; +inf for none.
+    stretch: A (d,), see `mixed`; None where no axis has cells.
     """
 
     SCHEMA: ClassVar[dict[str, Schema]] = {
         "popsize": side("popsize"),
         "distribution": anything,  # which checks its own
-        "mixed": anything,
+        "stretch": maybe(array("d", low=1e-30, high=1e30)),
         "termination": anything,
     }
 
@@ -154,11 +159,10 @@ class Search(Stateful):
         self.setting = setting
         self.popsize = start.population * setting.popsize
         self._guard = setting.options.guard_search
-        self._mixed = None if setting.layout is None else Mixed(setting.layout)
-        self._start = start
-        std = start.std
-        if self._mixed is not None and np.array_equal(std, setting.sigma0):  # nothing is known
-            std = self._mixed.widened(std)
+        self.axes, self._start, std = setting.axes, start, start.std
+        self.stretch = None if self.axes.discrete is None else np.ones(self.axes.dim)
+        if np.array_equal(std, setting.sigma0):  # nothing is known
+            std = self.axes.widened(std)
         widest = start.widest if self._guard else np.inf
         self.distribution = CMAES(start.mean, std, self.popsize, widest=widest)
         dim, options = len(start.mean), setting.options
@@ -182,19 +186,20 @@ class Search(Stateful):
     def std(self) -> Float64:
         """Standard deviations (d,) of what is rendered."""
         std = self.distribution.std
-        return std if self._mixed is None else self._mixed.A * std
+        return std if self.stretch is None else self.stretch * std
 
-    def sample(self, n: int, rng: np.random.Generator) -> tuple[Float64, Float64]:
-        """Draw n candidates z ~ N(m, Sigma), and the points x that they stand for, (n, d) each."""
+    def sample(
+        self, n: int, rng: np.random.Generator, *, checked: bool = True
+    ) -> tuple[Float64, Float64]:
+        """Draw n candidates z ~ N(m, Sigma), and the points x that they stand for, (n, d) each.
 
-        def draw(m: int) -> tuple[Float64, Float64]:
-            z = self.distribution.sample(m, rng)
-            return self._with_fixed(self._reflected(self.stretched(z))), z
-
+        checked: whether all must satisfy the constraints.
+        """
         validity = self.setting.validity
-        if validity is None:
-            return draw(n)
-        x, z, invalid = validity.sample(draw, n)
+        if validity is None or not checked:
+            z = self.distribution.sample(n, rng)
+            return self._with_fixed(self.axes.reflected(self.stretched(z))), z
+        x, z, invalid = validity.sample(lambda m: self.sample(m, rng, checked=False), n)
         if invalid.any():  # towards the nearest of those that are valid
             start = self._start.mean
             valid = x[~invalid] if not invalid.all() else start[None]
@@ -203,32 +208,19 @@ class Search(Stateful):
             z[invalid] = self.distribution.shortened(self.closest(x[invalid]))
         return x, z
 
-    def render_mean(self, mean: Float64) -> Float64:
-        """Point (d,) of the cube that a mean (d,) stands for."""
-        x: Float64 = self._reflected(mean[None])[0]
-        return x
-
     def stretched(self, z: Float64) -> Float64:
         """Candidates z (n, d) as samples of N(mean, std^2), before any are put into the cube."""
-        return z if self._mixed is None else self._mixed.stretched(z, self.mean)
-
-    def _reflected(self, v: Float64) -> Float64:
-        """Points of the cube for those (n, d), reflected at its walls, or wrapped."""
-        return into(v) if self._mixed is None else self._mixed.reflected(v)
-
-    def clipped(self, x: Float64) -> Float64:
-        """Points of the cube for any (n, d), clipped at its walls, or wrapped."""
-        return inside(x) if self._mixed is None else self._mixed.clipped(x)
+        return z if self.stretch is None else self.mean + self.stretch * (z - self.mean)
 
     def place_proposals(self, x: Float64, z: Float64) -> Float64:
         """Points of the cube for proposals x (n, d), with the values that this search fixes.
 
         z: (n, d), samples of which they were made.
         """
-        x, validity = self._with_fixed(self.clipped(x)), self.setting.validity
+        x, validity = self._with_fixed(self.axes.clipped(x)), self.setting.validity
         if validity is None:
             return x
-        sampled = self._with_fixed(self._reflected(self.stretched(z)))
+        sampled = self._with_fixed(self.axes.reflected(self.stretched(z)))
         return validity.moved_back(x, sampled, self._start.mean)
 
     def _with_fixed(self, x: Float64) -> Float64:
@@ -238,8 +230,11 @@ class Search(Stateful):
 
     def closest(self, x: Float64) -> Float64:
         """Return the z (n, d) of points x (n, d) that is closest to the mean."""
-        mean = self.mean
-        return closest(x, mean) if self._mixed is None else self._mixed.closest(x, mean)
+        mean, discrete = self.mean, self.axes.discrete
+        v = closest(x, mean, self.axes.periodic)
+        if self.stretch is None or discrete is None:
+            return v
+        return mean + (np.where(discrete, x, v) - mean) / self.stretch
 
     def tell(
         self, members: list[Candidate], losses: Float64, point: tuple[Float64, float] | None
@@ -266,22 +261,21 @@ class Search(Stateful):
         """Return what `tell` would make of the search now, with a part of a generation."""
         z, injected = search_columns(members)
         other = copy.copy(self)
-        other._mixed = copy.copy(self._mixed)
         other.distribution = self.distribution.preview(z, losses, injected & self._guard)
         other._correct()
         return other
 
     def _correct(self) -> None:
         """Apply the margin, and move the mean back to what is fixed."""
-        if self._mixed is not None:
-            self._mixed.correct(self.distribution)
+        if self.stretch is not None:
+            self.stretch = self.axes.correct(self.distribution, self.stretch)
         self.distribution.mean = self._with_fixed(self.distribution.mean)
 
-    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
+    def load_state_dict(self, state: Plain, sides: Sides | None = None) -> None:
         """Go on where `state_dict` was taken; ValueError if it is none."""
-        if (state.get("mixed") is None) != (self._mixed is None):
-            raise ValueError("search['mixed'] is not of this space")
+        if (state.get("stretch") is None) != (self.stretch is None):
+            raise ValueError("search['stretch'] is not of this space")
         super().load_state_dict(state)
 
     def _sides(self) -> Sides:
-        return {"popsize": self.popsize, "d": len(self.mean), "axes": len(self.mean)}
+        return {"popsize": self.popsize, "d": len(self.mean)}

@@ -24,16 +24,16 @@ from fide_plugins.runtime.schema import (
     anything,
     array,
     check,
+    enum,
     flag,
-    form,
+    instance,
     maybe,
     packed,
     real,
     text,
-    values,
     whole,
 )
-from fide_plugins.search.mixed import Axes, Mixed, Values, inside
+from fide_plugins.search.mixed import Axes, Values
 from fide_plugins.search.moves import (
     AFTER_DESCENT,
     ChangeValue,
@@ -51,7 +51,6 @@ from fide_plugins.search.moves import (
     Start,
 )
 from fide_plugins.search.scene import Exchangeability, Optima, Removal, Sensitivity, changed
-from fide_plugins.space.layout import Layout
 from fide_plugins.types import Float64, Posterior
 
 if TYPE_CHECKING:
@@ -100,31 +99,19 @@ class Choice(Stateful):
         p: Float64 = _FLOOR * even + (1 - _FLOOR) * rates / rates.sum()
         return np.asarray(p / p.sum(), np.float64)
 
-    def draw(self, possible: Sequence[str], rng: np.random.Generator) -> str:
-        """Draw one of those moves."""
-        return possible[int(rng.choice(len(possible), p=self.probabilities(possible)))]
-
     def _sides(self) -> Sides:
         return {"moves": len(self.names)}
 
 
 _PLAIN: dict[str, Schema] = {
+    "stage": enum(Stage),
+    "start": instance(Start),
     "move": maybe(text),
     "loss_only_searches": whole(),
     "guided": flag,
     "descends": flag,
     "noise": maybe(real(0.0)),
 }
-_SCHEMA: dict[str, Schema] = {
-    **_PLAIN,
-    "stage": text,
-    "start": dict(form(Start)),
-    "rng": GENERATOR,
-    "incumbent": maybe(form(TrainingSample)),
-}
-_MOVES = (
-    Split, HalfTurn, RelocateGroup, RelocateSegment, Rearrange, Coarsen, Refine, RandomRestart
-)  # fmt: skip
 _PARTS = ("optima", "exchangeability", "removal", "sensitivity", "values")  # of what is known
 _COST = 12.0  # generations that a move takes, roughly
 _CANDIDATES = 20  # restart candidates, at least
@@ -141,7 +128,7 @@ class MovePolicy:
     channels: leading channels in which images are compared; None: all.
     seed: of the draws of moves.
     groups: declared exchangeable groups, see `scene.check_groups`; None: to be found.
-    layout: what is discrete or periodic in the cube; None: nothing.
+    axes: of the cube; None: nothing is discrete or periodic.
     posterior: of a learned model; the run begins with its hypotheses.  None: there is no model.
     descends: whether the run begins with descents, from these or else from around x0.
 
@@ -155,6 +142,10 @@ class MovePolicy:
     Raises OptionError for groups that are declared wrongly.
     """
 
+    hypotheses: Hypotheses | None = None
+    descents: Descents | None = None
+    noise: float | None = None
+
     def __init__(
         self,
         x0: Float64,
@@ -164,44 +155,42 @@ class MovePolicy:
         channels: int | None,
         seed: int,
         groups: Sequence[Sequence[int]] | None = None,
-        layout: Layout | None = None,
+        axes: Axes | None = None,
         posterior: Posterior | None = None,
         *,
         descends: bool = False,
     ) -> None:
         dim = len(x0)
-        axes = Axes(dim, layout)
+        axes = axes or Axes(dim)
         self.known = Known(
             x0=x0,
             sigma0=sigma0,
             target=target,
             channels=channels,
             exchangeability=Exchangeability(dim, channels, groups, axes),
-            removal=Removal(),
             sensitivity=Sensitivity(dim, channels, axes),
             axes=axes,
-            place=inside if layout is None else Mixed(layout).clipped,
-            values=Values(axes, layout),
+            place=axes.clipped,
+            values=Values(axes),
         )
         self._candidates = max(_CANDIDATES, popsize)
         self._sets = bool(groups)
-        family: list[Move] = [kind() for kind in _MOVES]
-        if self.known.values.discrete.any():
+        family: list[Move] = [Split()]
+        if len(axes.continuous):
+            family.append(HalfTurn())
+        if dim > 1:
+            family += [RelocateGroup(), RelocateSegment(), Rearrange()]
+        family += [Coarsen(), Refine(), RandomRestart()]
+        if axes.discrete is not None:
             family.append(ChangeValue())
-        self._moves = {move.name: move for move in family}
+        self.family: dict[str | None, Move] = {move.name: move for move in family}
         priors = {move.name: move.prior_gain for move in family}
         self._choice = Choice(priors | _RESAMPLE, _COST * popsize)
         self._rng = np.random.default_rng((seed, 1))
         self.start = Start(x0, self.known.sigma0)
-        self.hypotheses: Hypotheses | None = None
-        self.descents: Descents | None = None
-        self.descends = False
-        self.noise: float | None = None
         self.loss_only_searches, self.guided = 0, True
         self._begin(posterior)
-        if descends:
-            self._need_descents()
-            self.descends = self.descents is not None and self.descents.possible
+        self.descends = descends and self._need_descents().possible
 
     def _begin(self, posterior: Posterior | None) -> None:
         """Begin with hypotheses of the target; None: with a search."""
@@ -216,9 +205,9 @@ class MovePolicy:
             from fide_plugins.search.hypotheses import Hypotheses, Resample
 
             known = self.known
-            self.hypotheses = Hypotheses(None, known.dim, sets=self._sets, place=known.place)
+            self.hypotheses = Hypotheses(None, known.axes.dim, sets=self._sets, place=known.place)
             for move in (Resample(self.hypotheses), self.hypotheses):
-                self._moves[move.name] = move
+                self.family[move.name] = move
         return self.hypotheses
 
     def _need_descents(self) -> Descents:
@@ -241,7 +230,7 @@ class MovePolicy:
     def goal(self) -> float:
         """Loss that the search has to beat; +inf for none."""
         incumbent = self.known.incumbent
-        if incumbent is None or self.move is None or not self._the_move.has_goal:
+        if incumbent is None or self.move is None or not self.family[self.move].has_goal:
             return np.inf
         return incumbent.loss
 
@@ -255,11 +244,6 @@ class MovePolicy:
         """Whether the search that follows descents begins at the least blur."""
         hypotheses = self.hypotheses
         return self.stage is Stage.SEARCH and hypotheses is not None and hypotheses.are_foreign
-
-    @property
-    def _the_move(self) -> Move:
-        assert self.move is not None
-        return self._moves[self.move]
 
     # -- after a search ----------------------------------------------------------------------------
 
@@ -280,7 +264,7 @@ class MovePolicy:
             known.incumbent, self.guided = None, False
             self.loss_only_searches += 1
             self.stage, self.move = Stage.SEARCH, RandomRestart.name
-            restart = self._the_move
+            restart = self.family[self.move]
             assert isinstance(restart, RandomRestart)
             self.start = restart.start_without_images(known, self.loss_only_searches, self._rng)
         else:
@@ -300,11 +284,11 @@ class MovePolicy:
             near = below is not None and now.loss <= below
             if near and optimum is not None and not optimum.refined:
                 self.stage, self.move = Stage.SEARCH, Refine.name
-                start = self._the_move.begin_at(self.known, now.x)
+                start = self.family[self.move].begin_at(self.known, now.x)
                 self.start = replace(start, to_the_end=False)  # other hypotheses wait
                 return
             helped = self.move == hypotheses.name or now is not before
-            if helped and self._moves["resample"].possible(self.known):
+            if helped and self.family["resample"].possible(self.known):
                 self.stage, self.move = Stage.RESTART, "resample"
                 return
         if hypotheses.waiting:
@@ -315,13 +299,14 @@ class MovePolicy:
     def _note_end(self, found: TrainingSample, evaluations: int) -> None:
         """Note what the move brought, and who is the incumbent."""
         known, incumbent = self.known, self.known.incumbent
-        left = incumbent if self.move is not None and self._the_move.from_incumbent else None
+        leaves = self.move is not None and self.family[self.move].from_incumbent
+        left = incumbent if leaves else None
         apart = left is None or known.began_apart(self.start.mean, found.x)
         best = known.optima.note(found, known.exchangeability.distance, began_apart=apart)
         if left is not None:  # losses may be negative, and of any size
             scale = max(abs(left.loss), abs(found.loss), 1e-300)
             gain = min(1.0, max(0.0, left.loss / scale - found.loss / scale))
-            self._choice.note(self._the_move.name, gain, evaluations)
+            self._choice.note(self.family[self.move].name, gain, evaluations)
             if found.loss >= left.loss:
                 known.optima.fail(left)
         if best:
@@ -330,7 +315,7 @@ class MovePolicy:
     def _leave(self, incumbent: TrainingSample) -> None:
         """Take this optimum for the incumbent."""
         if incumbent is not self.known.incumbent:
-            self.known.removal.forget()
+            self.known.removal = Removal()
         self.known.incumbent = incumbent
 
     def _choose(self) -> None:
@@ -346,10 +331,12 @@ class MovePolicy:
         self.stage, self.move = Stage.RESTART, RandomRestart.name
         if following is not None:
             self._leave(following)
-            moves = [self._moves[name] for name in self._choice.names if name in self._moves]
+            moves = [self.family[name] for name in self._choice.names if name in self.family]
             possible = [one.name for one in moves if one.from_incumbent and one.possible(known)]
-            self.move = self._choice.draw(possible or [RandomRestart.name], self._rng)
-            self.stage = self._the_move.needs(known) or Stage.RESTART
+            possible = possible or [RandomRestart.name]
+            p = self._choice.probabilities(possible)
+            self.move = possible[int(self._rng.choice(len(possible), p=p))]
+            self.stage = self.family[self.move].needs(known) or Stage.RESTART
 
     def _begin_at_hypothesis(self, hypotheses: Hypotheses) -> None:
         self.stage, self.move = Stage.SEARCH, hypotheses.name
@@ -362,8 +349,7 @@ class MovePolicy:
         """
         known = self.known
         known.target, known.incumbent, known.optima = target, None, Optima()
-        known.removal.forget()
-        known.values.forget()
+        known.removal, known.values = Removal(), Values(known.axes)
         self.noise = None  # of the loss, which was to another target
         self.loss_only_searches, self.guided = 0, True
         self.start = start
@@ -383,12 +369,7 @@ class MovePolicy:
             return known.sensitivity.draw(known.current.x, rng)
         if self.stage is Stage.DESCENT:
             return self._need_descents().draw()
-        return self._the_move.draw(known, self._candidates, rng)
-
-    @property
-    def has_more(self) -> bool:
-        """Whether `draw` gives other candidates each time, which are as good as the first ones."""
-        return self.stage is Stage.RESTART and self._the_move.has_more
+        return self.family[self.move].draw(known, self._candidates, rng)
 
     def learn(
         self, samples: Sequence[TrainingSample], best: Float64, target: Tensor | None = None
@@ -402,7 +383,7 @@ class MovePolicy:
         known, blocks = self.known, self.known.exchangeability.blocks
         if self.stage is Stage.DESCENT:
             self._descend(samples, known.target if target is None else target)
-        elif self.stage is Stage.RESTART and self._the_move is self.hypotheses:
+        elif self.stage is Stage.RESTART and self.family[self.move] is self.hypotheses:
             found = self.hypotheses.before + [(sample.loss, sample.x) for sample in samples]
             self.hypotheses.learn(found, best, known.exchangeability.distance)
             if self.descends and found:
@@ -410,7 +391,7 @@ class MovePolicy:
             else:
                 self._begin_at_hypothesis(self.hypotheses)
         elif self.stage is Stage.RESTART:
-            self.start = self._the_move.begin_at(known, self._most_promising(samples, best))
+            self.start = self.family[self.move].begin_at(known, self._most_promising(samples, best))
             self.stage = Stage.SEARCH
         elif self.stage is Stage.EXCHANGE:
             known.exchangeability.learn(known.current, samples, known.place)
@@ -464,7 +445,7 @@ class MovePolicy:
         """
         known = self.known
         blocks = known.exchangeability.blocks
-        if blocks is not None or not samples or not self._the_move.from_incumbent:
+        if blocks is not None or not samples or not self.family[self.move].from_incumbent:
             return best
         if self.begins_coarse:  # the incumbent's tokens are of a sharp image
             return best
@@ -477,48 +458,36 @@ class MovePolicy:
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that changes."""
-        incumbent = self.known.incumbent
-        return {
-            **{name: getattr(self, name) for name in _PLAIN},
-            "stage": self.stage.value,
-            "start": values(self.start),
-            "rng": self._rng.bit_generator.state,
-            "incumbent": None if incumbent is None else incumbent.state_dict(),
-            "choice": self._choice.state_dict(),
-            "hypotheses": packed(self.hypotheses),
-            "descents": packed(self.descents),
-            **{name: getattr(self.known, name).state_dict() for name in _PARTS},
-        }
+        own = {name: packed(getattr(self, name)) for name in (*_PLAIN, "hypotheses", "descents")}
+        own |= {name: packed(getattr(self.known, name)) for name in ("incumbent", *_PARTS)}
+        return own | {"rng": self._rng.bit_generator.state, "choice": packed(self._choice)}
 
-    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
-        """Put back what `state_dict` gave, tokens on the device; ValueError if it is none."""
-        known = self.known
-        (tokens, channels), d = known.target.shape, known.dim
-        sides = {"d": d, "T": tokens, "C": channels}
-        parts = (*_PARTS, "choice", "hypotheses", "descents")
-        check(state, {**_SCHEMA, **dict.fromkeys(parts, anything)}, dict(sides), "moves")
-        found: dict[str, Any] = {name: getattr(known, name) for name in _PARTS}
-        found["choice"] = self._choice
+    def load_state_dict(self, state: Plain, sides: Sides | None = None) -> None:
+        """Put back what `state_dict` gave; ValueError if it is none.  sides: T, C, device."""
+        known, sides = self.known, {**(sides or {}), "d": self.known.axes.dim}
+        own = {**_PLAIN, "rng": GENERATOR, "incumbent": maybe(instance(TrainingSample))}
+        rest = dict.fromkeys((*_PARTS, "choice", "hypotheses", "descents"), anything)
+        found = check(state, {**own, **rest}, dict(sides), "moves")
+        parts: dict[str, Any] = {name: getattr(known, name) for name in _PARTS}
+        parts["choice"] = self._choice
         if state["hypotheses"] is not None:
-            found["hypotheses"] = self._need_hypotheses()
+            parts["hypotheses"] = self._need_hypotheses()
         if state["descents"] is not None:
-            found["descents"] = self._need_descents()
+            parts["descents"] = self._need_descents()
         self._check(state)
         for name in _PLAIN:
-            setattr(self, name, state[name])
-        self.stage, self.start = Stage(state["stage"]), Start(**state["start"])
+            setattr(self, name, found[name])
         self._rng.bit_generator.state = state["rng"]
-        for name, part in found.items():
-            part.load_state_dict(state[name], sides, device)
-        saved = state["incumbent"]
-        known.incumbent = None if saved is None else TrainingSample.from_state(saved, device)
+        for name, one in parts.items():
+            one.load_state_dict(state[name], sides)
+        known.incumbent = found["incumbent"]
         for optimum in known.optima.all:  # it is one of them, not a copy
             if known.incumbent is not None and np.array_equal(optimum.sample.x, known.incumbent.x):
                 known.incumbent = optimum.sample
 
     def _check(self, state: Mapping[str, Any]) -> None:
         """Raise ValueError unless stage, move and incumbent fit together."""
-        stage, move, moves = Stage(state["stage"]), state["move"], self._moves
+        stage, move, moves = Stage(state["stage"]), state["move"], self.family
         descents = state["descents"]
         if stage is Stage.DESCENT and (
             self.descents is None or descents["round"] >= self.descents.rounds

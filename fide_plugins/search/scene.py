@@ -9,7 +9,7 @@ import operator
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, TypeAlias
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 from torch import Tensor
@@ -26,9 +26,9 @@ from fide_plugins.runtime.schema import (
     check,
     each,
     flag,
-    form,
+    instance,
     maybe,
-    row,
+    saved,
     whole,
 )
 from fide_plugins.search import mixed
@@ -262,7 +262,7 @@ class Exchangeability(Stateful):
             if used % n == 0 and used >= _SHORTEST * n
         ]
 
-    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
+    def load_state_dict(self, state: Plain, sides: Sides | None = None) -> None:
         """Put back what `state_dict` gave; ValueError for what it cannot have given."""
         for name in ("blocks", "chain", "found"):
             within = maybe(array(name, "length", kind="i", low=0, high=self.dim - 1))
@@ -342,10 +342,6 @@ class Removal(Stateful):
     }
 
     def __init__(self) -> None:
-        self.forget()
-
-    def forget(self) -> None:
-        """Begin again, for another incumbent."""
         self.costs: Float64 = np.empty(0)
         self.owned: Float64 = np.empty((0, 0))
 
@@ -528,32 +524,26 @@ class Optimum:
     refined: whether `refine` was tried.
     """
 
-    sample: TrainingSample
-    failures: int = 0
-    searches: int = 1
-    refined: bool = False
+    sample: TrainingSample = saved(instance(TrainingSample))
+    failures: int = saved(whole(), default=0)
+    searches: int = saved(whole(), default=1)
+    refined: bool = saved(flag, default=False)
 
 
-class Optima:
+@dataclass(eq=False)
+class Optima(Stateful):
     """Distinct local optima, best first, and how often moves from each of them failed.
 
     The next incumbent is the optimum with the lowest *score*, its rank by loss plus its failures in
     units of a tolerance.  A new search is due when its own score is lower still.
 
     forgotten: searches that ended in places which are no longer remembered.
+    descents: new searches since the best optimum was found.
     """
 
-    SCHEMA: ClassVar[dict[str, Schema]] = {
-        "samples": each(form(TrainingSample)),
-        "counts": each(row(whole(), whole(), whole(high=1))),
-        "descents": whole(),
-        "forgotten": whole(),
-    }
-
-    def __init__(self) -> None:
-        self.all: list[Optimum] = []
-        self.forgotten = 0
-        self._descents = 0  # new ones since the best optimum was found
+    all: list[Optimum] = saved(each(instance(Optimum)), default_factory=list)
+    descents: int = saved(whole(), default=0)
+    forgotten: int = saved(whole(), default=0)
 
     def note(self, found: TrainingSample, distance: Distance, *, began_apart: bool = True) -> bool:
         """Note where a search ended; returns whether that is the best optimum so far.
@@ -563,7 +553,7 @@ class Optima:
         """
         best = not self.all or found.loss < self.all[0].sample.loss
         if best:
-            self._descents = 0
+            self.descents = 0
         close = [o for o in self.all if distance(o.sample.x, found.x, APART) < APART]
         searches = int(began_apart) + sum(optimum.searches for optimum in close)
         if close and close[0].sample.loss <= found.loss:
@@ -604,24 +594,7 @@ class Optima:
         tolerance: failures that outweigh one rank.
         """
         scores = [rank + one.failures / tolerance for rank, one in enumerate(self.all)]
-        if not scores or min(scores) >= _NEW + _NEW_AGAIN * self._descents:
-            self._descents += 1
+        if not scores or min(scores) >= _NEW + _NEW_AGAIN * self.descents:
+            self.descents += 1
             return None
         return self.all[int(np.argmin(scores))].sample
-
-    def state_dict(self) -> dict[str, Any]:
-        """Everything."""
-        return {
-            "samples": [one.sample.state_dict() for one in self.all],
-            "counts": [[one.failures, one.searches, int(one.refined)] for one in self.all],
-            "descents": self._descents,
-            "forgotten": self.forgotten,
-        }
-
-    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
-        """Put back what `state_dict` gave, tokens on the device; ValueError if it is none."""
-        check(state, self.SCHEMA, dict(sides or {}), "optima")
-        samples = [TrainingSample.from_state(one, device) for one in state["samples"]]
-        pairs = zip(samples, state["counts"], strict=True)
-        self.all = [Optimum(one, n, m, bool(refined)) for one, (n, m, refined) in pairs]
-        self._descents, self.forgotten = state["descents"], state["forgotten"]

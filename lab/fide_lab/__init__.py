@@ -1,8 +1,12 @@
-"""The laboratory of FIDE: rivals, runs of tasks, comparisons and their reports.
+"""The laboratory of FIDE: looks at runs, rivals, comparisons and their reports.
 
 Nothing in `fide_plugins` needs it.
 
 ============  ==================================================================
+`figures`     figures of runs
+`checking`    a look at a renderer before a fit
+`solutions`   distinct candidates of a run, side by side
+`watch`       the page of a run, while it goes on
 `baselines`   rivals with the ask/tell protocol of FIDE
 `optimizers`  every optimizer by name: FIDE, its rivals, and what others register
 `run`         one optimizer on one task: the run loop
@@ -10,6 +14,6 @@ Nothing in `fide_plugins` needs it.
 `sweep`       comparisons over combinations of options, and their Pareto front
 `report`      tables, charts and one HTML page about a comparison
 `suite`       a fixed set of problems, and the page of its results
-`cli`         the commands `fide run`, `compare`, `report` and `tradeoff`
+`cli`         commands of `fide` for all of these
 ============  ==================================================================
 """

@@ -2,7 +2,7 @@
 
     >>> from fide_lab import optimizers
     >>> optimizers.names()[:4]
-    ['cma', 'dfols', 'dibo', 'dual-annealing']
+    ['cma', 'dfols', 'dibo', 'diffusion-evolution']
     >>> opt = optimizers.make("cma", 3, popsize=8, seed=0)
     >>> opt.ask().shape
     (8, 3)

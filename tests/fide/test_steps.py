@@ -79,7 +79,7 @@ def test_who_asks_for_many_gets_steps_and_then_a_generation(
     opt = FIDE(6, target, **SETTINGS)
     opt.tell(X := first_step(opt, render), render(X))
     assert opt.state.steps is not None
-    left = opt.state.steps._left
+    left = opt.state.steps.remaining
     X = opt.ask(40)
     assert X.shape == (40, 6) and len(np.unique(X, axis=0)) == 40
     assert 0 < steps_pending(opt) == left < 3 * 8

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fide_plugins import Choice, Float, Space, fit, solutions
+from fide_plugins import Choice, Float, Space, fit, load_run
 from fide_plugins.fitting.result import Result
 from fide_plugins.types import Float64
 
@@ -93,7 +93,7 @@ def test_a_run_directory_tells_which_are_rough(tmp_path: Path) -> None:
         calls, last, out = 0, 161 if name == "rough" else 1000, tmp_path / name
         result = fit(render, GAP, SPACE, budget=160, workers=0, seed=0, out=out)
         assert ("± rough" in repr(result)) == (name == "rough")
-        read = solutions.read(tmp_path / name).solutions
+        read = load_run(tmp_path / name).solutions
         assert read[0].estimate is not None and read[0].estimate.rough == (name == "rough")
         assert pickle.loads(pickle.dumps(read[0])).estimate.rough == (name == "rough")
 

@@ -13,7 +13,7 @@ import pytest
 LAYERS = (
     ("errors", "status", "types"),
     ("runtime",),
-    ("baselines", "experiments", "optimizers"),  # old names of modules of `fide_lab`
+    ("baselines", "experiments", "optimizers", "watch"),  # old names of modules of `fide_lab`
     ("validation",),
     ("encoders", "options", "population", "space"),
     ("denoiser", "renderers", "search"),
@@ -26,7 +26,6 @@ LAYERS = (
     ("recording",),
     ("fide",),
     ("fitting",),
-    ("solutions", "watch"),
     ("cli",),
     ("__main__",),
 )

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from fide_plugins.proposers import forward
-from fide_plugins.proposers.forward import GaussNewtonSteps, _balanced, fit_jacobian
+from fide_plugins.proposers.forward import GaussNewtonSteps, Jacobian, fit_jacobian
 from fide_plugins.types import Float64
 
 D, T, C = 4, 5, 3
@@ -28,6 +28,11 @@ def nothing_kept(monkeypatch: pytest.MonkeyPatch) -> None:
 def make(dim: int = D, **changes: Any) -> GaussNewtonSteps:
     options: dict[str, Any] = {"damping": (1e-9, 1e-9), "ridge": (1e-9, 1e-9), "kept": 0.0}
     return GaussNewtonSteps(dim, **(options | changes))
+
+
+def balanced(proposer: GaussNewtonSteps, jacobian: Jacobian, slope: Float64) -> float:
+    """The unit of the damping."""
+    return float(proposer._damped(jacobian, slope, np.ones((1, 1)))[1][0, 0])
 
 
 def images_of(x: Float64, bend: float = 0.0) -> Tensor:
@@ -91,8 +96,8 @@ def test_scalar_products_give_what_features_give(n: int, ridge: tuple[float, flo
     values = np.linalg.eigvalsh(J @ J.T)
     np.testing.assert_allclose(jacobian.values, np.maximum(values, 0), atol=1e-9 * values[-1])
     missing = (images_of(ANSWER[None], 0.7)[0].reshape(-1)).numpy() - flat[b]
-    unit = _balanced(jacobian, jacobian.vectors.T @ J @ missing)
     proposer = make(capacity=50, ridge=ridge, damping=(0.3, 0.3), longest=1e9)
+    unit = balanced(proposer, jacobian, jacobian.vectors.T @ J @ missing)
     proposer.update(x, tokens, losses, STD)
     expected = x[b] + STD * np.linalg.solve(J @ J.T + 0.3 * unit * np.eye(D), J @ missing)
     made = step(proposer, images_of(ANSWER[None], 0.7)[0])
@@ -151,7 +156,7 @@ def test_the_damping_balances_what_is_gained_and_what_the_model_misses(bend: flo
         quadratic = delta @ (jacobian.values * delta) - 2 * delta @ slope
         return float(quadratic + jacobian.curvature * (delta @ delta) ** 2)
 
-    chosen = objective(_balanced(jacobian, slope))
+    chosen = objective(balanced(proposer, jacobian, slope))
     best = min(objective(damping) for damping in np.logspace(-8, 4, 400) * jacobian.values.mean())
     assert best - 1e-3 * abs(best) <= chosen <= 0.9 * best < 0  # on a grid
 
@@ -166,7 +171,7 @@ def test_damping_is_log_uniform_and_steps_are_cut() -> None:
     best = x[np.argmin(losses)]
     steps = ((step(proposer, target, 2000) - best) / STD) @ jacobian.vectors
     dampings = slope[0] / steps[:, 0] - jacobian.values[0]
-    logs = np.sort(np.log10(dampings / _balanced(jacobian, slope)))
+    logs = np.sort(np.log10(dampings / balanced(proposer, jacobian, slope)))
     np.testing.assert_allclose(logs, np.linspace(-2, 1, 2000), atol=0.15)
     short = make(longest=1e-3)
     short.update(x, tokens, losses, STD)

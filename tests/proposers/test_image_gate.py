@@ -10,7 +10,7 @@ import torch
 from scipy.stats import spearmanr
 
 from fide_plugins.options import Options
-from fide_plugins.proposers.image_gate import ImageGate, _correlation, _ranks
+from fide_plugins.proposers.image_gate import ImageGate
 from fide_plugins.types import Float64
 
 TARGET = torch.zeros(2, 5)
@@ -29,9 +29,9 @@ def test_it_is_spearman_s_with_equal_values_too(kinds: int) -> None:
     for n in (2, 3, 10, 57):
         a, b = rng.integers(kinds, size=(2, n)) * 1.0
         if np.ptp(a) and np.ptp(b):
-            assert _correlation(_ranks(a), _ranks(b)) == pytest.approx(
-                spearmanr(a, b).statistic, abs=1e-12
-            )
+            gate = ImageGate(Options(), (None,))
+            gate.note_images(tokens_at(a), TARGET, b)
+            assert gate.agreement == pytest.approx(spearmanr(a, b).statistic, abs=1e-12)
 
 
 @pytest.mark.parametrize("n", [6, 15, 100])

@@ -9,6 +9,7 @@ import pytest
 
 from fide_plugins.options import Options
 from fide_plugins.population import Candidate
+from fide_plugins.search.mixed import Axes
 from fide_plugins.search.moves import Start
 from fide_plugins.search.one_search import Search, Setting
 from fide_plugins.types import Float64
@@ -19,7 +20,7 @@ POINT = np.array([0.45, 0.55, 0.5])
 
 def new_search() -> Search:
     sigma0 = np.full(D, 1 / 6)
-    return Search(Start(np.full(D, 0.5), sigma0), np.inf, Setting(K, sigma0, Options()))
+    return Search(Start(np.full(D, 0.5), sigma0), np.inf, Setting(K, sigma0, Options(), Axes(D)))
 
 
 def generation(search: Search) -> tuple[list[Candidate], Float64]:

@@ -63,11 +63,8 @@ class Settings:
         return hashlib.blake2b(text.encode(), digest_size=4).hexdigest()
 
     def _make_evaluator(self) -> Evaluator:
-        made = self._made
-        return Evaluator(
-            self._target, self._loss, made.encoder, device=self._device,
-            for_network=made.has_network, **made.comparison,
-        )  # fmt: skip
+        encoder, device, made = self._made.encoder, self._device, self._made
+        return Evaluator(self._target, self._loss, encoder, device=device, options=made)
 
     def make(self, space: Space, seed: int, guess: Float64 | None = None, **changed: Any) -> FIDE:
         """Optimizer in a space; all share one encoder and one loss.

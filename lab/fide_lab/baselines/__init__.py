@@ -20,11 +20,13 @@ PLACES: Mapping[str, str] = {
     "cma": "fide_lab.baselines.evolution:CMA",
     "dfols": "fide_lab.baselines.libraries:DFOLS",
     "dibo": "fide_lab.baselines.dibo:DiBO",
+    "diffusion-evolution": "fide_lab.baselines.evolution:DiffusionEvolution",
     "dual-annealing": "fide_lab.baselines.libraries:DualAnnealing",
     "eki": "fide_lab.baselines.image_based:EKI",
     "fide-annealing": "fide_lab.baselines.image_based:FIDEAnnealing",
     "inverse": "fide_lab.baselines.image_based:Inverse",
     "random": "fide_lab.baselines.evolution:Random",
+    "sge": "fide_lab.baselines.sge:SGE",
     "zerograds": "fide_lab.baselines.zerograds:ZeroGrads",
 }
 """Where the classes of ours are."""

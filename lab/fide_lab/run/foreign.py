@@ -40,11 +40,11 @@ class Foreign:
         self._comparisons = 0 if self._fide is None else self._fide.state.comparisons
         if self._fide is None:
             from fide_plugins.evaluation import Evaluator
+            from fide_plugins.options import Options
 
             light = None if info.light == "none" else info.light
-            self._evaluator = Evaluator(
-                target, loss, "dense", photometric=light, robust="auto", background="free"
-            )
+            how = Options(photometric=light, robust="auto", background="free")
+            self._evaluator = Evaluator(target, loss, "dense", options=how)
 
     def tell(
         self, optimizer: Optimizer, X: Float64, images: Any, record: Record
@@ -57,7 +57,7 @@ class Foreign:
             with record.timing(optimizer):
                 return plain, self._fide.tell(X, list(images))
         assert self._evaluator.comparison is not None
-        batch: Any = self._evaluator.as_batch(len(X), list(images), None, None, self._clipping)
+        batch: Any = self._evaluator.as_batch(len(X), list(images), None, self._clipping)
         compared = self._evaluator.comparison.compare(batch)
         with record.timing(optimizer):
             optimizer.tell(X, np.clip(compared.images, 0, 1), compared.losses)

@@ -73,13 +73,14 @@ class Subject:
     @property
     def looks(self) -> bool:
         """Whether it needs images."""
-        return self.name in ("eki", "dfols", "fide-annealing", "inverse")
+        return self.name in ("eki", "dfols", "fide-annealing", "inverse", "sge")
 
 
 SUBJECTS = [
     Subject("cma", evaluations=400, close=1e-4),
     Subject("dfols", evaluations=40),
     Subject("dibo", evaluations=60),
+    Subject("diffusion-evolution"),
     Subject("dual-annealing"),
     Subject("eki", close=0.1),
     Subject("fide-annealing", evaluations=60),
@@ -87,6 +88,7 @@ SUBJECTS = [
     Subject("nevergrad:TwoPointsDE", evaluations=40),
     Subject("optuna:CmaEsSampler", evaluations=40),
     Subject("random"),
+    Subject("sge"),
     Subject("zerograds"),
 ]
 

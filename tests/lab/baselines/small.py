@@ -22,10 +22,12 @@ OPTIONS: dict[str, dict[str, Any]] = {
         "batch": 16,
         "precision": "single",
     },
+    "diffusion-evolution": {"popsize": 16, "budget": 80},
     "dual-annealing": {},
     "eki": {"popsize": 20},
     "fide-annealing": {"samples": 20, "epochs": 1},
     "inverse": {"popsize": 20, "budget": 100, "share": 0.4, "epochs": 2, "width": 8, "blocks": 1},
     "random": {},
+    "sge": {"popsize": 2},
     "zerograds": {"batch": 4},
 }

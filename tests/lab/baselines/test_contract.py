@@ -33,7 +33,7 @@ from .conftest import render, sphere, target as picture
 from .small import OPTIONS
 
 Subject = Any  # of conftest.py
-NOT_RESUMABLE = ("fide-annealing", "inverse")
+NOT_RESUMABLE = ("fide-annealing", "inverse", "sge")
 
 
 def test_all_baselines_are_tested(subjects: list[Subject]) -> None:

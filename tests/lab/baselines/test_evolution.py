@@ -1,4 +1,4 @@
-"""CMA-ES of the library `cma`."""
+"""CMA-ES of the library `cma`, and diffusion evolution."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import cma
 import numpy as np
 import pytest
 
-from fide_lab.baselines.evolution import CMA
+from fide_lab.baselines.evolution import CMA, DiffusionEvolution
 from fide_plugins.errors import DependencyError
 from fide_plugins.types import Float64
 
@@ -63,6 +63,31 @@ def test_restarts_with_the_same_population(restarts: str, sizes: set[int]) -> No
         opt.tell(X, losses=((X - 0.4) ** 2).sum(axis=1))
     assert opt.starts == 1 if restarts == "none" else opt.starts >= 3
     assert opt.best is not None and opt.best.loss < 1e-12
+
+
+def test_bipop_spends_as_much_on_small_populations() -> None:
+    opt = CMA(2, popsize=6, restarts="bipop", seed=0)
+    spent: dict[int, int] = {}
+    while opt.evaluations < 6000:
+        X = opt.ask()
+        spent[len(X)] = spent.get(len(X), 0) + len(X)
+        opt.tell(X, losses=((X - 0.4) ** 2).sum(axis=1))
+    large = [6 * 2**i for i in range(1, 9)]
+    assert set(large[:2]) <= set(spent) and len(set(spent) - set(large)) >= 2
+    assert 0.3 < sum(n for size, n in spent.items() if size in large) / opt.evaluations < 0.8
+
+
+def test_a_population_diffuses_to_the_fittest() -> None:
+    opt = DiffusionEvolution(2, popsize=32, budget=1600, seed=0)
+    spreads, losses = [], []
+    while opt.evaluations < 1600:
+        X = opt.ask()
+        spreads.append(float(X.std(axis=0).max()))
+        losses.append(((X - 0.4) ** 2).sum(axis=1))
+        opt.tell(X, losses=losses[-1])
+    assert spreads[0] > 0.1 and spreads[-1] < 0.02
+    assert np.median(losses[-1]) < 0.01 * np.median(losses[0])
+    assert opt.ask().std(axis=0).max() > 0.1  # it begins again
 
 
 def test_ipop_doubles_the_population() -> None:

@@ -15,7 +15,7 @@ from fide_plugins.population import TrainingSample
 from fide_plugins.search.mixed import Axes, Values
 from fide_plugins.search.moves import ChangeValue, Known
 from fide_plugins.search.one_search import Search, Setting
-from fide_plugins.search.scene import Exchangeability, Removal, Sensitivity
+from fide_plugins.search.scene import Exchangeability, Sensitivity
 from fide_plugins.types import Float64
 
 SPACE = Space(
@@ -40,11 +40,10 @@ def known() -> Known:
         target=torch.zeros(1, 3),
         channels=3,
         exchangeability=Exchangeability(SPACE.dim, 3, [], AXES),
-        removal=Removal(),
         sensitivity=Sensitivity(SPACE.dim, 3, AXES),
         axes=AXES,
         place=SPACE.snap,
-        values=Values(AXES, SPACE.layout),
+        values=Values(AXES),
     )
     known.incumbent = TrainingSample(0, HERE.copy(), torch.ones(1, 3), 1.0, 0)
     return known
@@ -88,14 +87,14 @@ def test_the_search_holds_the_value_and_nothing_else(known: Known) -> None:
     start = ChangeValue().begin_at(known, x)
     floor = SPACE.axes["floor"]
     assert start.fixed is not None and np.flatnonzero(start.fixed).tolist() == floor
-    setting = Setting(12, known.sigma0, Options(), SPACE.layout)
+    setting = Setting(12, known.sigma0, Options(), AXES)
     search = Search(replace(start, std=np.full(SPACE.dim, 0.5)), np.inf, setting)
     rng = np.random.default_rng(0)
     X, z = search.sample(200, rng)
     for points in (X, search.place_proposals(rng.random((200, SPACE.dim)), z)):
         np.testing.assert_array_equal(points[:, floor], np.tile(x[floor], (200, 1)))
         assert len({one["n"] for one in SPACE.decode_many(points)}) > 2
-    free = search.clipped(SPACE.snap(rng.random((50, SPACE.dim))))
+    free = search.axes.clipped(SPACE.snap(rng.random((50, SPACE.dim))))
     assert len({one["floor"] for one in SPACE.decode_many(free)}) == 3, "a user's own point"
 
 

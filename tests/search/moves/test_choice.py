@@ -23,7 +23,7 @@ def test_what_brings_most_for_its_evaluations_is_drawn_most_and_nothing_starves(
     cost = {"a": 100, "b": 100, "c": 300}
     drawn = []
     for _ in range(600):
-        name = choice.draw(["a", "b", "c"], rng)
+        name = "abc"[rng.choice(3, p=choice.probabilities(["a", "b", "c"]))]
         choice.note(name, 0.5 * (rng.random() < success[name]), cost[name])
         drawn.append(name)
     shares = {name: drawn[100:].count(name) / 500 for name in PRIORS}

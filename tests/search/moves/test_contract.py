@@ -24,7 +24,7 @@ from fide_plugins.search.moves import (
     RelocateSegment,
     Split,
 )
-from fide_plugins.search.scene import Exchangeability, Removal, Sensitivity
+from fide_plugins.search.scene import Exchangeability, Sensitivity
 from fide_plugins.space import Choice, Float, Int, Space
 from fide_plugins.types import Posterior
 
@@ -66,10 +66,9 @@ def scene(*, blocks: bool) -> Known:
         target=target,
         channels=3,
         exchangeability=Exchangeability(dim, 3, groups, axes),
-        removal=Removal(),
         sensitivity=Sensitivity(dim, 3, axes),
         axes=axes,
-        values=Values(axes, layout),
+        values=Values(axes),
         blurs=True,
     )
     known.exchangeability.chain = None if blocks else np.array([[0], [4], [5]])
@@ -95,7 +94,7 @@ def test_candidates_lie_in_the_cube_and_are_those_of_the_seed(case: tuple[Move, 
     assert (move.possible(known) and move.needs(known) is None) or move.name == "relocate segment"
     x, again = (move.draw(known, 30, np.random.default_rng(3)) for _ in range(2))
     np.testing.assert_array_equal(x, again)
-    assert 1 <= len(x) <= 30 and x.shape[1] == known.dim and x.min() >= 0 and x.max() <= 1
+    assert 1 <= len(x) <= 30 and x.shape[1] == known.axes.dim and x.min() >= 0 and x.max() <= 1
     assert not move.has_more or (x != move.draw(known, 30, np.random.default_rng(4))).any()
 
 
@@ -116,7 +115,7 @@ def test_a_search_begins_at_a_candidate_or_at_the_incumbent(case: tuple[Move, Kn
     start = move.begin_at(known, x)
     expected = known.current.x if move.name == "refine" else x
     np.testing.assert_array_equal(start.mean, expected)
-    assert start.std.shape == (known.dim,) and (start.std > 0).all()
+    assert start.std.shape == (known.axes.dim,) and (start.std > 0).all()
     assert move.possible(known) == (move.name != "refine")
 
 

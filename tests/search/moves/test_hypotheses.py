@@ -6,6 +6,7 @@ import numpy as np
 import torch
 
 from fide_plugins import Float, Group, Space
+from fide_plugins.search.mixed import Axes
 from fide_plugins.search.policy import MovePolicy
 from fide_plugins.types import Float64, Posterior
 
@@ -13,6 +14,7 @@ SPACE = Space(
     hand=Float(0, 360, periodic=True),
     lamps=3 * Group(x=Float(0, 1), hue=Float(0, 1, periodic=True)),
 )
+AXES = Axes(SPACE.dim, SPACE.layout)
 TRUTH = np.array([0.001, 0.1, 0.999, 0.5, 0.5, 0.9, 0.002])  # hand, then x and hue of each lamp
 
 
@@ -21,7 +23,7 @@ def begin(hypotheses: Float64) -> Float64:
     d = SPACE.dim
     policy = MovePolicy(
         np.full(d, 0.5), np.full(d, 1 / 6), 9, torch.zeros(1, 3), 3, 0,
-        SPACE.largest_family, SPACE.layout, Posterior(hypotheses),
+        SPACE.largest_family, AXES, Posterior(hypotheses),
     )  # fmt: skip
     assert policy.hypotheses is not None
     policy.hypotheses.learn([(0.0, TRUTH)], TRUTH, policy.known.exchangeability.distance)
@@ -45,7 +47,7 @@ def test_of_sets_few_are_rendered_and_one_is_searched_narrowly() -> None:
     policies = [
         MovePolicy(
             np.full(7, 0.5), np.full(7, 1 / 6), 9, torch.zeros(1, 3), 3, 0,
-            groups, SPACE.layout, Posterior(x),
+            groups, AXES, Posterior(x),
         )
         for groups in (SPACE.largest_family, [])
     ]  # fmt: skip
@@ -65,5 +67,5 @@ def test_of_sets_few_are_rendered_and_one_is_searched_narrowly() -> None:
 def refined_policy(draws: Float64, refined: Float64) -> MovePolicy:
     return MovePolicy(
         np.full(7, 0.5), np.full(7, 1 / 6), 9, torch.zeros(1, 3), 3, 0,
-        SPACE.largest_family, SPACE.layout, Posterior(draws, refined),
+        SPACE.largest_family, AXES, Posterior(draws, refined),
     )  # fmt: skip

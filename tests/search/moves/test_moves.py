@@ -17,7 +17,7 @@ from fide_plugins.search.moves import (
     Stage,
     segment,
 )
-from fide_plugins.search.scene import Exchangeability, Removal, Sensitivity
+from fide_plugins.search.scene import Exchangeability, Sensitivity
 from fide_plugins.types import Float64
 
 from ..conftest import brightest, sample
@@ -39,7 +39,6 @@ def scene(x: Float64, x_star: Float64, *, exchangeable: bool = True) -> Known:
         target=sample(target, x_star).tokens,
         channels=3,
         exchangeability=Exchangeability(8, 3, BLOCKS.tolist() if exchangeable else []),
-        removal=Removal(),
         sensitivity=Sensitivity(8, 3),
         axes=Axes(8),
     )

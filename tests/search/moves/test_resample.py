@@ -10,7 +10,7 @@ from fide_plugins.search.hypotheses import Hypotheses, Resample
 from fide_plugins.search.mixed import Axes
 from fide_plugins.search.moves import Known, Stage
 from fide_plugins.search.policy import MovePolicy
-from fide_plugins.search.scene import Exchangeability, Removal, Sensitivity
+from fide_plugins.search.scene import Exchangeability, Sensitivity
 from fide_plugins.types import Float64, Posterior
 
 from ..conftest import sample
@@ -31,7 +31,6 @@ def scene(
         target=torch.zeros(16, 3),
         channels=3,
         exchangeability=Exchangeability(d, 3, groups or [], axes),
-        removal=Removal(),
         sensitivity=Sensitivity(d, 3),
         axes=axes,
     )

@@ -13,7 +13,7 @@ from fide_plugins.search.moves import (
     HalfTurn,
     Known,
 )
-from fide_plugins.search.scene import Exchangeability, Removal, Sensitivity
+from fide_plugins.search.scene import Exchangeability, Sensitivity
 from fide_plugins.types import Float64
 
 SPACE = Space(
@@ -44,7 +44,6 @@ def known() -> Known:
         target=rendered(THERE).tokens,
         channels=3,
         exchangeability=Exchangeability(DIM, 3, [], axes),
-        removal=Removal(),
         sensitivity=Sensitivity(DIM, 3, axes),
         axes=axes,
         place=SPACE.snap,
@@ -84,7 +83,7 @@ def test_periodic_parameters_are_near_across_the_end(known: Known) -> None:
 def test_half_a_turn_of_a_periodic_parameter_is_exact(
     known: Known, rng: np.random.Generator
 ) -> None:
-    known.values = Values(known.axes, SPACE.layout)
+    known.values = Values(known.axes)
     X = HalfTurn().draw(known, 200, rng)
     np.testing.assert_array_equal(
         X[:, FLOOR + LAMP + [6]], np.tile(HERE[FLOOR + LAMP + [6]], (200, 1))

@@ -22,15 +22,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from fide_lab.cli.running import notices, write_figure
 from fide_plugins.cli.arguments import add_space_argument, own_renderer, path, whole
 from fide_plugins.cli.terminal import (
     USAGE_ERRORS,
     note,
-    notices,
     paragraph,
     plain,
     warnings_as_notes,
-    write_figure,
 )
 
 _SIDE = 112  # pixels of a built-in task
@@ -53,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
-    from fide_plugins.fitting.checking import as_data, check, figure, lines
+    from fide_lab.checking import as_data, check, figure, lines
 
     who = "fide check"
     with warnings_as_notes(who):

@@ -3,63 +3,49 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fide_plugins.errors import CheckpointError
-from fide_plugins.fitting.pictures import best_compared, picture, side_by_side
-from fide_plugins.fitting.result import opened
-from fide_plugins.recording.figures import (
+from fide_lab.figures import (
     INK,
     MUTED,
     Panel,
     draw_image,
     figure_as_png,
+    new_figure,
     plain,
 )
+from fide_plugins.errors import CheckpointError
+from fide_plugins.fitting.pictures import best_compared, picture, side_by_side
+from fide_plugins.fitting.result import opened
 from fide_plugins.recording.parameters import rows, with_std
-from fide_plugins.recording.storage import RunDirectoryError, impossible
+from fide_plugins.recording.storage import SOLUTIONS, RunDirectoryError, impossible
 from fide_plugins.runtime import checkpoint
-from fide_plugins.runtime.plotting import new_figure
 from fide_plugins.runtime.schema import IMPOSSIBLE, Schema, array, check
 from fide_plugins.types import Float32, Float64, Solution
 
-_KIND, _NAME = "solutions", "solutions.ckpt"
+_MOST = 24  # lines of parameters in the figure
 _SCHEMA: Schema = {
     "x": array("n", "d", low=0.0, high=1.0),
     "images": array("n", "H", "W", 3, low=0.0, high=1.0),
 }
 
-Known = list[tuple[Float64, Float32]]
-"""Points (d,) and their images (H, W, 3)."""
 
-
-def write_images(directory: Path, points: Sequence[Float64], images: Sequence[Float32]) -> None:
-    """Write images (H, W, 3) of points (d,); n >= 1.  Raises OSError."""
-    state = {"x": np.array(points), "images": np.array(images)}
-    checkpoint.write(directory / _NAME, _KIND, state)
-
-
-def read_images(directory: Path) -> Known:
-    """What was written; nothing if nothing was.  Raises CheckpointError if it is damaged."""
-    path = directory / _NAME
+def _read_images(directory: Path) -> list[tuple[Float64, Float32]]:
+    """Points (d,) and their images (H, W, 3), as far as `fide fit` stored any."""
+    path = directory / SOLUTIONS
     if not path.exists():
         return []
-    state: Any = checkpoint.read(path, _KIND)
+    state: Any = checkpoint.read(path, "solutions")
     try:
         check(state, _SCHEMA, {}, "solutions")
     except IMPOSSIBLE as error:
         raise CheckpointError(f"{path}: impossible contents ({error}); remove it") from error
     return list(zip(state["x"], state["images"], strict=True))
-
-
-def image_of(known: Known, x: Float64) -> Float32 | None:
-    """The image of the point x (d,); None if there is none."""
-    return next((image for point, image in known if np.array_equal(point, x)), None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,8 +78,10 @@ def read(
     path, run, optimizer = opened(directory, encoder)
     with impossible(path / "run.json", RunDirectoryError):
         solutions = with_std(optimizer.solutions(k), run)
-    known = read_images(path)
-    images = [image_of(known, one.x) for one in solutions]
+    known = _read_images(path)
+    images = [
+        next((image for x, image in known if np.array_equal(x, one.x)), None) for one in solutions
+    ]
     if solutions and images[0] is None:
         best = best_compared(optimizer)
         images[0] = None if best is None else picture(optimizer, best)
@@ -103,9 +91,6 @@ def read(
         solutions,
         images,
     )
-
-
-_MOST = 24  # lines of parameters
 
 
 def figure(found: Found) -> bytes:

@@ -10,8 +10,8 @@ import cloudpickle
 import numpy as np
 import pytest
 
+from fide_lab.checking import Facts, advice, as_data, check, effects_in, lines
 from fide_plugins import Choice, Float, Group, Int, Space
-from fide_plugins.fitting.checking import Facts, advice, as_data, check, effects_in, lines
 
 # Workers get the functions of this file: away from the repository they cannot import it.
 cloudpickle.register_pickle_by_value(sys.modules[__name__])

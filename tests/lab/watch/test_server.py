@@ -14,9 +14,9 @@ from typing import Any
 import pytest
 from PIL import ImageFile
 
+from fide_lab.watch import Server, serve
 from fide_plugins.errors import OptionError
 from fide_plugins.runtime import files
-from fide_plugins.watch import Server, serve
 
 from .conftest import write_curve
 

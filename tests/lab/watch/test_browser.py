@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from fide_plugins.watch import Server
+from fide_lab.watch import Server
 
 from .conftest import write_curve, write_picture
 
@@ -88,7 +88,7 @@ def test_losses_of_zero_and_below_have_a_curve(
 
 @pytest.mark.thorough
 def test_it_says_when_nobody_answers(browser: Any, directory: Path) -> None:
-    from fide_plugins.watch import serve
+    from fide_lab.watch import serve
 
     server, url = serve(directory)
     page = browser.new_page()

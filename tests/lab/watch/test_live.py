@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from fide_lab.watch.snapshot import RunFiles
 from fide_plugins import Float, Space
 from fide_plugins.fitting.one_call import prepare
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.types import Float32
-from fide_plugins.watch.snapshot import RunFiles
 
 SPACE = Space(angle=Float(-60, 60, unit="deg"), level=Float(0, 1))
 

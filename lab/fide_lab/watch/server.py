@@ -16,8 +16,8 @@ from importlib.resources import files as resources
 from pathlib import Path
 from typing import Any
 
+from fide_lab.watch.snapshot import PICTURES, RunFiles
 from fide_plugins.errors import OptionError
-from fide_plugins.watch.snapshot import PICTURES, RunFiles
 
 _PAGE = {
     "/": ("page.html", "text/html; charset=utf-8"),
@@ -109,7 +109,7 @@ class _Handler(BaseHTTPRequestHandler):
     def _found(self, path: str) -> tuple[str, bytes] | None:
         if path in _PAGE:
             name, kind = _PAGE[path]
-            return kind, (resources("fide_plugins.watch") / "page" / name).read_bytes()
+            return kind, (resources("fide_lab.watch") / "page" / name).read_bytes()
         if path == "/state.json":
             return "application/json", json.dumps(self.server.run.state()).encode()
         if path[1:] in PICTURES and path[0] == "/":

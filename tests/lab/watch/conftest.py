@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from fide_lab.watch import Server, serve
 from fide_plugins import Choice, Float, Space
 from fide_plugins.recording.record import Record
 from fide_plugins.runtime import checkpoint
-from fide_plugins.watch import Server, serve
 
 SPACE = Space(azimuth=Float(0, 25, unit="deg"), floor=Choice("<b>wood</b>", "stone"))
 

@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from fide_plugins.watch.server import Server, serve
+from fide_lab.watch.server import Server, serve
 
 __all__ = ["Server", "serve"]
