@@ -95,6 +95,9 @@ class Stateful:
             part = getattr(self, self._attribute(name))
             if hasattr(part, "load_state_dict"):
                 part.load_state_dict(value, known)
+            elif isinstance(part, list) and part and hasattr(part[0], "load_state_dict"):
+                for one, its in zip(part, value, strict=True):
+                    one.load_state_dict(its, known)
             else:
                 setattr(self, self._attribute(name), value)
 

@@ -221,7 +221,7 @@ class FIDESampler(BaseSampler):
     def counts(self, study: Study) -> dict[str, int]:
         """How many finished trials counted as what, for the study's latest search space.
 
-        "member", "late" and "altered" were asked by FIDE, "injected" were not; "image" is how many
+        "member", "step", "late" and "altered" were asked by FIDE; "image" is how many
         of these had one; "left out" do not count; "waiting" are behind an unfinished one.
         """
         with self._lock:
