@@ -207,7 +207,8 @@ class FIDE(Saved):
             photo=o.photo,
         )
         if moves.descends and not learned:
-            moves.begin_around_guess(np.random.default_rng((self.seed, 2)))
+            rng = np.random.default_rng((self.seed, 2))
+            moves.begin_around(self.x0, setting.sigma0, rng, np.empty((0, self.dim)))
         if moves.stage is Stage.DESCENT and moves.descents is not None:
             scales.begin_at(moves.descents.share)
         moves.start = scales.patient(moves.start)
@@ -729,6 +730,9 @@ class FIDE(Saved):
         With a model its hypotheses are rendered after the remembered candidates, unless these say
         more exactly than the model where the parameters are; there are no steps then.
 
+        With `photo=True`, after a run that began with descents (with a model or near a guess), the
+        next begins with descents from around the last answer and from hypotheses.
+
         Raises ImageError, LossError, UnknownNameError or OptionError (ValueErrors), OSError or
         CheckpointError for a file that is no model, before anything changes.
         """
@@ -739,8 +743,11 @@ class FIDE(Saved):
         state = self.state
         with timed(self.state.times, "search"):
             recalled = state.recall(evaluator.target_tokens, self.guess, self.popsize)
-            known = bool(recalled.samples)
-            if posterior is not None and known and state.moves.is_wider(posterior, recalled.start):
+            known, last = bool(recalled.samples), self.best if state.moves.descends else None
+            guesses = np.empty((0, self.dim)) if posterior is None else posterior.x
+            if posterior is not None and (
+                last is not None or (known and state.moves.is_wider(posterior, recalled.start))
+            ):
                 posterior = None  # the memory says more exactly where the answer is
             self.evaluator, self._model = evaluator, model
             if state.kept is not None:
@@ -750,7 +757,10 @@ class FIDE(Saved):
                 state.teach(recalled.samples, recalled.start.std, self.popsize)
             else:
                 self._use_model_only()
-            self.draw_generation(recalled.hypotheses)
+            if last is not None:
+                rng = np.random.default_rng((self.seed, 2, self.evaluations))
+                state.follow(last.x, guesses, rng)
+            self.draw_generation(recalled.hypotheses if last is None else None)
 
     def _use_model_only(self) -> None:
         """Go on as a run that began with a model: proposers forget what was before."""

@@ -28,6 +28,7 @@ starts (S), measures Jacobians (J) or tries steps (T)."""
 _MOST_POINTS = 66  # of a round that measures Jacobians
 _MOST_AXES = 40
 _AROUND = 36  # points around a guess, of which starts are selected
+_OTHERS = 26  # of these: hypotheses, where the object may have gone elsewhere
 _APART = 0.02  # of the unit cube, in some parameter: another start
 _DAMPING, _LEAST_DAMPING, _LESS, _MORE = 1e-2, 1e-4, 0.1, 10.0
 _RIDGE = 1e-4  # of the mean square of all derivatives: what images do not show stays
@@ -84,11 +85,14 @@ class Descents(Stateful):
         """Standard deviation of the present blur, in sides of the image."""
         return _ROUNDS[self.round][0] if self.under_way else 0.0
 
-    def begin_around(self, x: Float64, std: Float64, rng: np.random.Generator) -> None:
-        """Begin at the best of points around a guess x (d,)."""
-        apart = std * rng.standard_normal((_AROUND, len(x)))
+    def begin_around(
+        self, x: Float64, std: Float64 | float, rng: np.random.Generator, others: Float64
+    ) -> None:
+        """Begin at the best of points around a guess x (d,), and of some of the others (n, d)."""
+        others = others[:_OTHERS]
+        apart = std * rng.standard_normal((_AROUND - len(others), len(x)))
         apart[0] = 0.0
-        self._begin(self._rendered(x + apart))
+        self._begin(self._rendered(np.concatenate([x + apart, others])))
 
     def begin(self, found: Sequence[tuple[float, Float64]], spread: Float64 | None = None) -> None:
         """Begin at the best distinct ones of points that were found, as loss and x (d,).

@@ -221,9 +221,11 @@ class MovePolicy:
         """Whether hypotheses of a model say less exactly than a start where the answer is."""
         return self._need_hypotheses().is_wider(posterior, self.known, start)
 
-    def begin_around_guess(self, rng: np.random.Generator) -> None:
-        """Begin with descents from points around the guess."""
-        self._need_descents().begin_around(self.known.x0, self.known.sigma0, rng)
+    def begin_around(
+        self, x: Float64, std: Float64 | float, rng: np.random.Generator, others: Float64
+    ) -> None:
+        """Begin with descents from points around x (d,), and from some of the others (n, d)."""
+        self._need_descents().begin_around(x, std, rng, others)
         self.stage = Stage.DESCENT
 
     @property

@@ -87,8 +87,8 @@ def disk(x: Float64, kind: float = 0.0) -> tuple[Any, Any]:
     return np.full((24, 24, 3), x[2], np.float32), cover
 
 
-def photograph() -> Any:
-    image, cover = disk(ANSWER)
+def photograph(x: Float64 = ANSWER) -> Any:
+    image, cover = disk(x)
     clutter = np.random.default_rng(3).random((6, 6, 3)).repeat(4, 0).repeat(4, 1)
     return (cover[..., None] * image + (1 - cover[..., None]) * clutter).astype(np.float32)
 
@@ -173,3 +173,33 @@ def test_choices_take_part() -> None:
         optimizer.tell(X, [disk(np.array([p["x"], p["y"], p["gray"]])) for p in params])
     assert optimizer.best is not None and optimizer.best.params is not None
     assert optimizer.best.params["gray"] == 0.55
+
+
+def test_the_next_photograph_begins_with_them_at_the_last_answer() -> None:
+    optimizer = FIDE(3, photograph(), x0=ANSWER + 0.06, sigma0=0.05, photo=True, seed=0)
+    for frame in range(4):
+        x = ANSWER + 0.04 * frame * np.array([1, -1, 0])
+        if frame:
+            assert optimizer.best is not None
+            last = optimizer.best.x
+            optimizer.retarget(photograph(x))
+            assert optimizer.state.stage is Stage.DESCENT
+            np.testing.assert_array_equal(optimizer.ask()[0], last)
+        end = optimizer.evaluations + 140
+        while optimizer.evaluations < end:
+            X = optimizer.ask_ready()
+            optimizer.tell(X, [disk(one) for one in X])
+        assert optimizer.best is not None
+        assert np.abs(optimizer.best.x[:2] - x[:2]).max() < 0.02
+
+
+def test_hypotheses_are_among_the_starts_around_a_point() -> None:
+    descents = Descents(Axes(3), np.copy)
+    hypotheses = np.random.default_rng(1).random((100, 3))
+    far = np.array([0.02, 0.98, 0.02])
+    descents.begin_around(far, 0.03, np.random.default_rng(0), hypotheses)
+    drawn = descents.draw()
+    assert len(drawn) == 36
+    near = np.abs(drawn - far).max(axis=1) < 0.2
+    assert 0 < near.sum() < len(drawn)
+    assert all((hypotheses == x).all(axis=1).any() for x in drawn[~near])
