@@ -59,6 +59,7 @@ SCENES = {
     "robot": Scene("robot", {}, 2e-5, 5000),
     "spline": Scene("spline", {"target": "random"}, 1e-3, 5000),
     "two_cells": Scene("voronoi", {"variant": "distance"}, 1e-6, 2000),
+    "triangles10": Scene("triangles", {"triangles": 10}, 1e-3, 5000, 64),
     "triangles30": Scene("triangles", {"triangles": 30}, 1e-3, 5000, 64),
     "triangles100": Scene("triangles", {"triangles": 100}, 1e-3, 5000, 64),
     "sheets": Scene("sheets", {}, 1e-4, 4000),
