@@ -62,6 +62,7 @@ SCENES = {
     "triangles10": Scene("triangles", {"triangles": 10}, 1e-3, 5000, 64),
     "triangles30": Scene("triangles", {"triangles": 30}, 1e-3, 5000, 64),
     "triangles100": Scene("triangles", {"triangles": 100}, 1e-3, 5000, 64),
+    "triangles400": Scene("triangles", {"triangles": 400}, 1e-3, 5000, 64),
     "sheets": Scene("sheets", {}, 1e-4, 4000),
     "lamps": Scene("lamps", {}, 1e-5, 5000, 64),
     "sprites": Scene("sprites", {}, 1e-3, 5000, 64),
