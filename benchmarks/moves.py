@@ -256,7 +256,7 @@ def losses(rows: list[Row]) -> str:
             lower = np.sum([np.array(ours) < theirs for theirs, ours in shared], axis=0)
             of = "" if name == "FIDE" else ", ".join(map(str, lower)) + f" of {len(shared)}"
             cost = (f"{np.median([row[key] for row in mine]):.3g}" for key in ("cpu_ms", "peak_mb"))
-            medians = (f"{loss:.3g}" for loss in np.median(at, axis=0))
+            medians = ("-" if loss == np.inf else f"{loss:.3g}" for loss in np.median(at, axis=0))
             lines.append(f"| {' | '.join([scene, name, str(len(mine)), *medians, of, *cost])} |")
     return "\n".join(lines)
 
