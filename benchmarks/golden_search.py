@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 import fide_tasks
 from fide_lab import optimizers
-from fide_plugins import FIDE, encoders, losses
+from fide_plugins import FIDE, losses
 
 Float32: TypeAlias = npt.NDArray[np.float32]
 Float64: TypeAlias = npt.NDArray[np.float64]
@@ -105,10 +105,6 @@ def tell_losses(opt: Any, X: Float64, images: Float32, values: Float64) -> None:
 
 def tell_float32(opt: Any, X: Float64, images: Float32, values: Float64) -> None:
     opt.tell(X.astype(np.float32), images)
-
-
-def tell_features(opt: Any, X: Float64, images: Float32, values: Float64) -> None:
-    opt.tell(X, None, values, features=encoders.make("dense", device="cpu")(images))
 
 
 def tell_noise(opt: Any, X: Float64, images: Float32, values: Float64) -> None:

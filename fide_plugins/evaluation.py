@@ -14,9 +14,9 @@ import torch
 from fide_plugins import encoders, losses as named_losses
 from fide_plugins.comparison.comparison import Comparison, checked
 from fide_plugins.comparison.coverage import with_coverage, without_coverage
-from fide_plugins.encoders.base import PatchEncoder, as_features
+from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.encoders.own import OwnEncoder, check_encoder
-from fide_plugins.errors import CheckpointError, FeaturesError, LossError, OptionError
+from fide_plugins.errors import CheckpointError, LossError, OptionError
 from fide_plugins.losses.base import (
     CallableLoss,
     ImageLoss,
@@ -159,7 +159,7 @@ class Evaluator:
         """Images as they are compared, in the user's values; images: as `FIDE.tell` takes them."""
         several = images[0] if self.views.listed and isinstance(images, list | tuple) else images
         n = len(several) if hasattr(several, "__len__") else 0
-        batch = self.as_batch(n, images, np.zeros(n), None, Clipping().note)
+        batch = self.as_batch(n, images, np.zeros(n), Clipping().note)
         assert batch is not None  # images were given
         shown = batch
         if self.comparison is not None:
@@ -262,19 +262,15 @@ class Evaluator:
                 f"{checkpoint.VERSION_REMEDY}, or start again"
             )
 
-    def as_batch(
-        self, n: int, images: object, losses: object, features: object, on_clip: OnClip
-    ) -> Float32 | None:
+    def as_batch(self, n: int, images: object, losses: object, on_clip: OnClip) -> Float32 | None:
         """Images of n candidates, (n, H, W, 3), packed if there are several views, or None.
 
         With a fourth channel, the coverage, where renders have one and it is used.
 
-        Raises LossError or FeaturesError where what is given contradicts itself, or ImageError.
+        Raises LossError if neither images nor losses are given, or ImageError.
         """
         if images is None and losses is None:
             raise LossError("tell needs images, losses, or both; got neither")
-        if images is not None and features is not None:
-            raise FeaturesError("tell takes images or their features, not both")
         if images is None:
             return None
         if self.comparison is None or not self.comparison.background:
@@ -302,20 +298,19 @@ class Evaluator:
         n: int,
         batch: Float32 | None,
         losses: object = None,
-        features: object = None,
+        features: torch.Tensor | None = None,
         *,
-        version: str | None = None,
         encode: bool = True,
         note: bool = False,
     ) -> Evaluation:
         """Losses and tokens of n candidates with images (n, H, W, 3).
 
         losses: (n,), in place of the loss of the images.
-        features: (n, T, C), in place of the tokens of the images; version: of their encoder.
+        features: (n, T, C), tokens where there are no images.
         encode: whether tokens are needed at all.
         note: whether the comparison notes what no candidate removes, see `Comparison.floor`.
 
-        Raises LossError or FeaturesError.
+        Raises LossError.
         """
         told = batch
         if batch is None and losses is None:
@@ -330,10 +325,8 @@ class Evaluator:
             values = self.loss.compute(batch)
         if encode and shown is not None:
             tokens = self.encoder.compute(shown)
-        if features is not None:
-            shape = (n, *self.target_tokens.shape)
-            taken = as_features(features, shape, self.encoder, version=version)
-            tokens = taken if encode else None
+        if encode and features is not None:
+            tokens = features.to(self.encoder.device)
         assert values is not None
         if note and shown is not None and self.comparison is not None:
             self.comparison.note(shown)

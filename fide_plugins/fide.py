@@ -23,7 +23,6 @@ from fide_plugins.population import (
     CandidateRole,
     Memory,
     Population,
-    TrainingSample,
     columns,
 )
 from fide_plugins.proposers import make_proposer, make_steps
@@ -238,50 +237,41 @@ class FIDE(Saved):
         generation, candidates are drawn for the next one (`State.preview_search`).
         Who asks for a number may get Gauss-Newton steps before a generation (`proposers.forward`).
         """
-        population = self.state.population
+        state, population = self.state, self.state.population
         n = None if n is None else whole_number("n", n, 1)
-        with timed(self.state.times, "search"):
-            steps = np.empty((0, self.dim))
-            if n is not None:
-                steps = self._make_steps(n)
-            elif not population.remaining:
+        with timed(state.times, "search"):
+            steps = np.empty((0, self.dim)) if n is None else self.make_steps(n, state.rng)
+            if not population.remaining and (n is None or n > len(steps)):
                 self.draw_generation()
             rest = population.remaining if n is None else n - len(steps)
-            X = np.concatenate([steps, self._ask(rest)]) if rest else steps
+            proposer, due = state.proposer, len(population.reserved) and state.samples
+            lazy = proposer is not None and proposer.lazy and rest > len(population.queue)
+            if proposer is not None and lazy and due:  # line 8, before it is asked
+                samples, state.samples = sorted(state.samples, key=BY_INDEX), []
+                state.learned += samples
+                with timed(state.times, "train"):
+                    proposer.update(*columns(samples), state.search.std)
+            if rest:
+                self._make_next(rest)  # which may fail, before anything is handed out
+            X = np.empty((rest, self.dim))
+            for i in range(rest):
+                if not population.remaining:
+                    self.draw_generation()
+                    self._make_next(rest - i)
+                X[i] = population.hand_out().x
             if len(steps):
-                self._hand_out_steps(steps)  # last: asking for the rest may fail
-            return X
+                self.hand_out_steps(steps)  # last: asking for the rest may fail
+            return np.concatenate([steps, X])
 
     @one_at_a_time
     @one_thread
     def ask_ready(self) -> Float64:
         """As `ask`, but between two generations one step alone: the next one knows its result."""
         with timed(self.state.times, "search"):
-            if len(step := self._make_steps(1)):
-                self._hand_out_steps(step)
+            if len(step := self.make_steps(1, self.state.rng)):
+                self.hand_out_steps(step)
                 return step
         return self.ask()
-
-    def _ask(self, n: int) -> Float64:
-        """Candidates (n, d) of this generation and of those that follow."""
-        population = self.state.population
-        if not population.remaining:
-            self.draw_generation()
-        state, proposer = self.state, self.state.proposer
-        due = n > len(population.queue) and len(population.reserved) and state.samples
-        if proposer is not None and proposer.lazy and due:  # line 8, before it is asked
-            samples, state.samples = sorted(state.samples, key=BY_INDEX), []
-            state.learned += samples
-            with timed(state.times, "train"):
-                proposer.update(*columns(samples), state.search.std)
-        self._make_next(n)  # which may fail, before anything is handed out
-        X = np.empty((n, self.dim))
-        for i in range(n):
-            if not population.remaining:
-                self.draw_generation()
-                self._make_next(n - i)
-            X[i] = population.hand_out().x
-        return X
 
     def draw_generation(self, first: Float64 | None = None) -> None:
         """Queue a generation; spare candidates where the present one needs exactly its own.
@@ -376,8 +366,8 @@ class FIDE(Saved):
                 population.replace(needed, x, z, proposed)
         self.make_proposals(population, state.rng, n)
 
-    def _make_steps(self, n: int) -> Float64:
-        """Steps (m, dim) that come before the next generation, at most n."""
+    def make_steps(self, n: int, rng: np.random.Generator) -> Float64:
+        """Steps (m, dim) that come before the next generation, at most n, by `rng`."""
         state, search, steps = self.state, self.state.search, self.state.steps
         none = np.empty((0, self.dim))
         between = state.moves.stage is Stage.SEARCH and not state.population.remaining
@@ -388,12 +378,12 @@ class FIDE(Saved):
             left = steps.left(search.popsize, target, search.std)
             if not left:
                 return none
-            _, z = search.sample(min(n, left), state.rng)
+            _, z = search.sample(min(n, left), rng)
             v = search.stretched(z)
-            x = steps.propose(v, target, search.mean, search.std, state.rng)
+            x = steps.propose(v, target, search.mean, search.std, rng)
         return steps.new_ones(search.place_proposals(x, z), state.population.is_pending)
 
-    def _hand_out_steps(self, x: Float64) -> None:
+    def hand_out_steps(self, x: Float64) -> None:
         """Count steps (m, dim) as asked."""
         state = self.state
         assert state.steps is not None
@@ -416,9 +406,6 @@ class FIDE(Saved):
         X: object,
         images: object = None,
         losses: object = None,
-        *,
-        features: object = None,
-        version: str | None = None,
     ) -> Float64:
         """Report results, in any order and any number of pieces; returns their losses (n,).
 
@@ -433,11 +420,6 @@ class FIDE(Saved):
         losses
             (n,), the lower the better; None: the optimizer's own loss of the images.  Those that
             are NaN or infinite rank last and are counted in `not_finite`.
-        features
-            (n, T, C), in place of the images: their tokens by the optimizer's encoder; losses must
-            then be given.
-        version
-            of the encoder that made the features, which must be the optimizer's; None: you vouch.
 
         Points that were never asked (a warm start, a guess) are welcome: the proposer learns from
         them, they can become `best`, and the best of those told during a generation takes the place
@@ -446,20 +428,18 @@ class FIDE(Saved):
 
         Raises
         ------
-        PointsError, ImageError, LossError, FeaturesError
+        PointsError, ImageError, LossError
             all ValueErrors, before anything changes; of images also a ValueRangeError, if those
             told so far are on another scale than the target.
         """
         points = as_points(X, self.dim)
         n, evaluator, given = len(points), self.evaluator, losses is not None
         clipping = replace(self.state.clipping)  # a copy: the rest may fail
-        batch = evaluator.as_batch(n, images, losses, features, clipping)
+        batch = evaluator.as_batch(n, images, losses, clipping)
         with timed(self.state.times, "encode"):  # lines 7 and 9
             encode = self.state.proposer is not None and (given or not self.state.scales.blur)
-            results = evaluator.evaluate(
-                n, batch, losses, features,
-                version=version, encode=encode, note=self.state.needs_floor,
-            )  # fmt: skip
+            note = self.state.needs_floor
+            results = evaluator.evaluate(n, batch, losses, encode=encode, note=note)
         self.state.clipping = clipping
         if given and np.isfinite(results.losses).any():  # of a user: not at any blur
             self.state.stay_sharp()
@@ -510,9 +490,16 @@ class FIDE(Saved):
         if state.moves.stage is not Stage.SEARCH:
             state.finish_stage(members, losses, samples, target)
             return
+        (learned, state.learned), proposer = (state.learned, []), state.proposer
         try:
-            with timed(state.times, "train"):
-                self._train(samples, target)  # line 8
+            with timed(state.times, "train"):  # line 8
+                guarded = samples or state.gate.guarded  # which judges the generation as a whole
+                if proposer is not None and guarded and (samples or learned):
+                    _, tokens, told = columns(sorted(samples + learned, key=BY_INDEX))
+                    state.gate.note_images(tokens, target, told)
+                    del tokens
+                if proposer is not None and samples:
+                    proposer.update(*columns(samples), state.search.std)
         finally:  # a generation that taught nothing is not lost
             state.update_search(members, losses)  # line 10
             over, guided = decision  # go on with the search, or elsewhere where it is over
@@ -523,20 +510,6 @@ class FIDE(Saved):
                 over = self.options.restarts != "none" and state.is_over(guided=guided)
             if over:
                 state.finish_search(guided=self.options.restarts == "moves" and guided)
-
-    def _train(self, samples: list[TrainingSample], target: Tensor) -> None:
-        """Line 8: the proposer learns from what was evaluated since the last time."""
-        state = self.state
-        learned, state.learned = state.learned, []
-        if state.proposer is None or not (samples or learned):
-            return
-        everything = sorted(samples + learned, key=BY_INDEX)
-        if samples or state.gate.guarded:  # which judges the generation as a whole
-            _, tokens, losses = columns(everything)
-            state.gate.note_images(tokens, target, losses)
-            del tokens
-        if samples:
-            state.proposer.update(*columns(samples), state.search.std)
 
     def recommend(self) -> Float64:
         """Mean (dim,) of the search distribution that found the best point (line 12).
@@ -692,12 +665,6 @@ class FIDE(Saved):
     def clipped(self) -> int:
         """Images told so far whose values went beyond black or white, and were clipped."""
         return self.state.clipping.images
-
-    @property
-    def features_shape(self) -> tuple[int, int]:
-        """(T, C) of the features of an image, see `tell`."""
-        tokens, channels = self.target_tokens.shape
-        return tokens, channels
 
     # -- where searches begin, and the next picture ------------------------------------------------
 
@@ -855,9 +822,9 @@ class FIDE(Saved):
         self.evaluator = sized.comparing(state.pop("comparison"))
         try:
             fresh = self._initial_state()
-            (height, width, _), (tokens, channels) = self.views.target.shape, self.features_shape
-            sides = {"d": self.dim, "H": height, "W": width, "T": tokens, "C": channels}
-            fresh.load_state_dict(state, sides, self.encoder.device)
+            sides = dict(zip("HW", self.views.target.shape, strict=False), d=self.dim)
+            sides |= dict(zip("TC", self.target_tokens.shape, strict=True))
+            fresh.load_state_dict(state, {**sides, "device": self.encoder.device})
         except BaseException:
             self.evaluator = before
             raise

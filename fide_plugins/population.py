@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from itertools import pairwise
@@ -15,22 +15,25 @@ from operator import attrgetter
 from typing import Any
 
 import numpy as np
-from torch import Tensor, as_tensor, device, stack
+from torch import Tensor, stack
 
 from fide_plugins.runtime.schema import (
+    Plain,
     Schema,
     Sides,
+    Stateful,
     array,
-    check,
     each,
+    enum,
     flag,
     form,
+    instance,
     maybe,
     packed,
     real,
     row,
     saved,
-    values,
+    tensor,
     whole,
 )
 from fide_plugins.types import Float64, Mask, Solution
@@ -72,19 +75,10 @@ class Candidate:
     index: int = saved(whole())
     x: Float64 = saved(array("d", low=0.0, high=1.0))
     z: Float64 = saved(array("d", low=-1e60, high=1e60))
-    role: CandidateRole = saved(whole(high=max(CandidateRole)), default=CandidateRole.MEMBER)
+    role: CandidateRole = saved(enum(CandidateRole), default=CandidateRole.MEMBER)
     proposed: bool = saved(flag, default=False)
     off_distribution: bool = saved(flag, default=False)
     mirrored: bool = saved(flag, default=False)
-
-    def state_dict(self) -> dict[str, Any]:
-        """All of it; arrays are those in use, not copies."""
-        return values(self)
-
-    @classmethod
-    def from_state(cls, state: Mapping[str, Any]) -> Candidate:
-        """Undo `state_dict`."""
-        return cls(**{**state, "role": CandidateRole(state["role"])})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,18 +94,9 @@ class TrainingSample:
 
     index: int = saved(whole())
     x: Float64 = saved(array("d", low=0.0, high=1.0))
-    tokens: Tensor = saved(array("T", "C"))
+    tokens: Tensor = saved(tensor("T", "C"))
     loss: float = saved(real())
     evaluation: int = saved(whole())
-
-    def state_dict(self) -> dict[str, Any]:
-        """All of it; tokens are those in use, not a copy."""
-        return values(self)
-
-    @classmethod
-    def from_state(cls, state: Mapping[str, Any], device: device | None = None) -> TrainingSample:
-        """Undo `state_dict`; arrays serve as tensors, which go to the device."""
-        return cls(**{**state, "tokens": as_tensor(state["tokens"], device=device)})
 
 
 def columns(samples: Sequence[TrainingSample]) -> tuple[Float64, Tensor, Float64]:
@@ -139,19 +124,15 @@ class Best:
     search_number: of the search that asked it; 0 for none.
     """
 
-    solution: Solution = saved(_SOLUTION)
+    solution: Solution = saved(instance(Solution, _SOLUTION))
     index: int = saved(whole())
     mean: Float64 = saved(array("d", low=-1e60, high=1e60))
     search_number: int = saved(whole())
 
     def state_dict(self) -> dict[str, Any]:
         """All of it but what is computed when it is read; arrays are those in use, not copies."""
-        return values(self) | {"solution": {k: getattr(self.solution, k) for k in _SOLUTION}}
-
-    @classmethod
-    def from_state(cls, state: Mapping[str, Any]) -> Best:
-        """Undo `state_dict`."""
-        return cls(**{**state, "solution": Solution(**state["solution"])})
+        own = {name: getattr(self, name) for name in form(Best)}
+        return own | {"solution": {k: getattr(self.solution, k) for k in _SOLUTION}}
 
 
 # -- the record -----------------------------------------------------------------------------------
@@ -159,11 +140,11 @@ class Best:
 _LOST = 2  # generations' worth of spare candidates told, after which members count as lost
 _LATE = 3  # times as late as the latest result of late, from which on no result is expected
 _ZERO = np.float32(0.0)
-_TOLD: Schema = each(row(form(Candidate), real(high=np.inf)))
+_TOLD: Schema = each(row(instance(Candidate), real(high=np.inf)))
 
 
 @dataclass(eq=False)
-class Population:
+class Population(Stateful):
     """Candidates drawn, pending and evaluated.
 
     Asking for more than is left of a generation draws more members, and any of them complete it;
@@ -195,8 +176,8 @@ class Population:
     reserved: Float64 = saved(
         array("reserved", "d", low=-1e60, high=1e60), default_factory=lambda: np.empty((0, 0))
     )
-    queue: deque[Candidate] = saved(each(form(Candidate)), default_factory=deque)
-    pending: dict[int, Candidate] = saved(each(form(Candidate)), default_factory=dict)
+    queue: deque[Candidate] = saved(each(instance(Candidate)), default_factory=deque)
+    pending: dict[int, Candidate] = saved(each(instance(Candidate)), default_factory=dict)
     told: list[tuple[Candidate, float]] = saved(_TOLD, default_factory=list)
     spare: list[tuple[Candidate, float]] = saved(_TOLD, default_factory=list)
     _by_point: dict[bytes, list[Candidate]] = field(init=False, default_factory=dict)
@@ -385,20 +366,17 @@ class Population:
     def state_dict(self) -> dict[str, Any]:
         """Everything."""
         pending = sorted(self.pending.values(), key=BY_INDEX)
-        return {k: packed(v) for k, v in values(self).items()} | {"pending": packed(pending)}
+        return super().state_dict() | {"pending": packed(pending)}
 
-    @classmethod
-    def from_state(cls, state: Mapping[str, Any], dim: int) -> Population:
-        """Population of points (dim,) as it was when `state_dict` was taken; ValueError if none."""
-        check(state, form(cls), {"d": dim}, "population")
-        made = cls(**{name: v for name, v in state.items() if not isinstance(v, list)})
-        made.queue.extend(map(Candidate.from_state, state["queue"]))
-        for one in state["pending"]:
-            made._add_pending(Candidate.from_state(one))
-        made.newest, made.delays = state["newest"], (*state["delays"],)
-        made.told = [(Candidate.from_state(one), loss) for one, loss in state["told"]]
-        made.spare = [(Candidate.from_state(one), loss) for one, loss in state["spare"]]
-        return made
+    def load_state_dict(self, state: Plain, sides: Sides | None = None) -> None:
+        """Put back what `state_dict` gave; ValueError if it is none.  sides: d."""
+        super().load_state_dict(state, sides)
+        waiting: Any = self.pending
+        self.queue, newest, self.pending = deque(self.queue), self.newest, {}
+        self._by_point.clear()
+        for candidate in waiting:
+            self._add_pending(candidate)
+        self.newest = newest
 
 
 def search_columns(members: list[Candidate]) -> tuple[Float64, Mask]:
@@ -431,7 +409,7 @@ _LEAST = 4096  # bytes of a sample; its objects take about as much, however few 
 
 
 @dataclass(eq=False)
-class Memory:
+class Memory(Stateful):
     """Samples of a run, at most `megabytes` of tokens and parameters; 0: none.
 
     Half of the room is for the latest samples.  The other half is for every `stride`-th of those
@@ -440,8 +418,8 @@ class Memory:
     """
 
     megabytes: float
-    earlier: list[TrainingSample] = saved(each(form(TrainingSample)), default_factory=list)
-    latest: deque[TrainingSample] = saved(each(form(TrainingSample)), default_factory=deque)
+    earlier: list[TrainingSample] = saved(each(instance(TrainingSample)), default_factory=list)
+    latest: deque[TrainingSample] = saved(each(instance(TrainingSample)), default_factory=deque)
     left: int = saved(whole(), default=0)
     stride: int = saved(whole(1), default=1)
 
@@ -472,16 +450,7 @@ class Memory:
         self.latest = deque(every[len(self.earlier) :])
         self.earlier = every[: len(self.earlier)]
 
-    def state_dict(self) -> dict[str, Any]:
-        """Everything that changes; tokens are those in use, not copies."""
-        return {name: packed(value) for name, value in values(self).items()}
-
-    def load_state_dict(self, state: Mapping[str, Any], sides: Sides, device: device) -> None:
-        """Put back what `state_dict` gave, tokens on the device; ValueError if it is none.
-
-        sides: d, T and C, by these names.
-        """
-        check(state, form(Memory), dict(sides), "memory")
-        self.earlier = [TrainingSample.from_state(one, device) for one in state["earlier"]]
-        self.latest = deque(TrainingSample.from_state(one, device) for one in state["latest"])
-        self.left, self.stride = state["left"], state["stride"]
+    def load_state_dict(self, state: Plain, sides: Sides | None = None) -> None:
+        """Put back what `state_dict` gave; ValueError if it is none.  sides: d, T, C, device."""
+        super().load_state_dict(state, sides)
+        self.latest = deque(self.latest)

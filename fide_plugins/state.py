@@ -31,6 +31,7 @@ from fide_plugins.runtime.schema import (
     check,
     each,
     form,
+    instance,
     maybe,
     packed,
     real,
@@ -96,19 +97,19 @@ class State:
     searches: int = saved(whole(), default=1)
     evaluations: int = saved(whole(), default=0)
     not_finite: int = saved(whole(), default=0)
-    best: Best | None = saved(maybe(form(Best)), default=None)
+    best: Best | None = saved(maybe(instance(Best)), default=None)
     improved_at: int = saved(whole(), default=0)
     improved_to: float = saved(real(high=np.inf), default=np.inf)
-    samples: list[TrainingSample] = saved(each(form(TrainingSample)), default_factory=list)
-    learned: list[TrainingSample] = saved(each(form(TrainingSample)), default_factory=list)
+    samples: list[TrainingSample] = saved(each(instance(TrainingSample)), default_factory=list)
+    learned: list[TrainingSample] = saved(each(instance(TrainingSample)), default_factory=list)
     injected: tuple[Float64, float] | None = saved(
         maybe(row(array("d", low=0.0, high=1.0), real())), default=None
     )
-    search_best: TrainingSample | None = saved(maybe(form(TrainingSample)), default=None)
+    search_best: TrainingSample | None = saved(maybe(instance(TrainingSample)), default=None)
     over_at: int = saved(whole(), default=0)
     retargeted_at: int = saved(whole(), default=0)
     comparisons: int = saved(whole(), default=0)
-    clipping: Clipping = saved(anything, default_factory=Clipping)
+    clipping: Clipping = saved(instance(Clipping), default_factory=Clipping)
     times: dict[str, float] = saved(
         {"encode": real(), "train": real(), "search": real()},
         default_factory=lambda: {"encode": 0.0, "train": 0.0, "search": 0.0},
@@ -449,7 +450,7 @@ class State:
 
         It is computed when it is read; None if no sample says anything.
         """
-        from fide_plugins.uncertainty import LocalEstimate
+        from fide_plugins.uncertainty.estimate import LocalEstimate
 
         known = self.moves.known
         samples = self.memory.samples + self._ends
@@ -484,38 +485,29 @@ class State:
         state = {name: packed(getattr(self, name)) for name in form(State)}
         return state | {"rng": self.rng.bit_generator.state, "times": dict(self.times)}
 
-    def load_state_dict(self, state: Mapping[str, Any], sides: Sides, device: torch.device) -> None:
-        """Put back what `state_dict` gave, tokens on the device.
+    def load_state_dict(self, state: Mapping[str, Any], sides: Sides) -> None:
+        """Put back what `state_dict` gave; ValueError if `state` is none of these.
 
-        sides: d, T, C, H, W, by these names.  Raises ValueError if `state` is none of these.
+        sides: d, T, C, H, W, by these names, and the device of tokens.
         """
-
-        def sample(one: Any) -> TrainingSample:
-            return TrainingSample.from_state(one, device)
-
-        check(state, dict(form(State)), dict(sides))
-        for name, value in state.items():  # numbers; parts follow
-            if isinstance(value, int | float):
-                setattr(self, name, value)
-        self.rng.bit_generator.state = state["rng"]
-        self.population = Population.from_state(state["population"], sides["d"])
+        found = check(state, dict(form(State)), dict(sides))
+        self.rng.bit_generator.state = found.pop("rng")
         if state["steps"] is None:
             self.steps = None  # it was saved where there are none, as in a replica
-        for name in ("moves", "gate", "proposer", "steps", "memory"):
-            if getattr(self, name) is not None:
-                getattr(self, name).load_state_dict(state[name], sides, device)
-        for name in ("scales", "pixel_noise", "kept"):
-            if getattr(self, name) is not None:
-                getattr(self, name).load_state_dict(state[name], sides)
+        for name in _LOADED:
+            value, one = found.pop(name), getattr(self, name)
+            if one is not None:
+                one.load_state_dict(value, sides)
         if self.proposer is None and len(self.population.reserved):
             raise ValueError("candidates are reserved for proposals, and nothing is proposed")
         self._let_moves_know()
         self.search = self.new_search()
-        self.search.load_state_dict(state["search"])
-        self.best = None if state["best"] is None else Best.from_state(state["best"])
-        self.samples = [sample(one) for one in state["samples"]]
-        self.learned = [sample(one) for one in state["learned"]]
-        self.injected = None if state["injected"] is None else tuple(state["injected"])
-        self.search_best = None if state["search_best"] is None else sample(state["search_best"])
-        self.clipping = Clipping.from_state(state["clipping"])
-        self.times = dict(state["times"])
+        self.search.load_state_dict(found.pop("search"))
+        for name, value in found.items():
+            setattr(self, name, value)
+
+
+_LOADED = (
+    "population", "moves", "gate", "proposer", "steps", "memory", "scales", "pixel_noise", "kept"
+)  # fmt: skip
+"""Parts of a state that load themselves, the search after them."""

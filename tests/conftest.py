@@ -109,8 +109,8 @@ def _only_drawn_where_it_is_looked_at(
     A run's summary takes 0.2 s and a report's charts 3 s, most of what a small run takes.
     """
     if request.node.get_closest_marker("figures") is None:
-        for name in ("fide_plugins.recording.figures.summary", "fide_lab.report.plots.png"):
-            monkeypatch.setattr(name, lambda *_: EMPTY_PNG)
+        for name in ("fide_lab.figures.summary", "fide_lab.report.plots.png"):
+            monkeypatch.setattr(name, lambda *_, **more: EMPTY_PNG)
 
 
 @pytest.fixture(autouse=True)

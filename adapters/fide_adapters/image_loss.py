@@ -6,7 +6,7 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from fide_plugins.errors import LossError
+from fide_plugins.errors import ImageError, LossError
 from fide_plugins.types import Float32
 from fide_plugins.validation.images import is_path, is_pil, is_torch_tensor
 from fide_plugins.validation.values import Clipping
@@ -53,7 +53,18 @@ class ImageReader:
         Warns once of values outside [0, 1].  Raises ImageError, or ValueRangeError for images on
         another scale.
         """
-        return self._views.batch_of_one(image, self._clipping)
+        views = self._views
+        if not views.listed:
+            is_array = isinstance(image, np.ndarray) and image.shape == views.target.shape
+            batch: object = image[None] if is_array else [image]  # type: ignore[index]  # no copy
+        elif not isinstance(image, list | tuple) or len(image) != len(views.views):
+            raise ImageError(
+                f"with {len(views.views)} targets a render is a list of {len(views.views)} images, "
+                f"one for each view, {views.sizes}; got a {type(image).__name__} of another length"
+            )
+        else:
+            batch = [[one] for one in image]
+        return views.as_batch(batch, 1, self._clipping)
 
 
 class Result(NamedTuple):
@@ -99,3 +110,14 @@ def is_image(value: Any) -> bool:
     if is_path(value) or is_pil(value):
         return True
     return (isinstance(value, np.ndarray) or is_torch_tensor(value)) and value.ndim >= 2
+
+
+def views_of(
+    target: object, mask: object, weights: object, value_range: object = None
+) -> Views | None:
+    """Views where a target is optional; ImageError for a mask without a target."""
+    if target is None:
+        if not (mask is None and weights is None and value_range is None):
+            raise ImageError("mask, weights and value_range belong to a target: set target=, too")
+        return None
+    return Views.read(target, mask, weights, value_range)

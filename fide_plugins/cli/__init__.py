@@ -24,8 +24,6 @@ __all__ = ["commands", "main", "module_of"]
 COMMANDS = {
     "fit": "fit a picture of your own, with your renderer or a model",
     "learn": "learn a renderer once, for every later picture",
-    "list": "list tasks, optimizers, encoders, losses",
-    "doctor": "check what can be used on this machine",
 }
 """Commands of this package."""
 _OTHERS = ("fide_lab.cli", "fide_adapters")
@@ -44,10 +42,7 @@ def commands() -> dict[str, str]:
 
 
 def module_of(command: str) -> Any:
-    """Module of a command: its arguments, and its execution.
-
-    Raises DependencyError (an ImportError) for one that no installed package has.
-    """
+    """Module of a command; DependencyError for one that no installed package has."""
     for package, table in _tables().items():
         if command in table:
             return import_module(f"{package}.{command}_command")

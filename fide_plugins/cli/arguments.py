@@ -43,21 +43,6 @@ def setting(text: str) -> tuple[str, Any]:
         raise argparse.ArgumentTypeError(str(error)) from error
 
 
-def names(text: str) -> list[str]:
-    """Parse names separated by commas; those in brackets, ``fide:x0=[0,1]``, are of a name."""
-    found, depth = [""], 0
-    for character in text:
-        depth += (character in "[{") - (character in "]}")
-        if character == "," and not depth:
-            found.append("")
-        else:
-            found[-1] += character
-    found = [name.strip() for name in found]
-    if not all(found):
-        raise argparse.ArgumentTypeError(f"names separated by commas, not {text!r}")
-    return found
-
-
 def add_run_arguments(
     parser: argparse.ArgumentParser,
     *,
@@ -67,10 +52,7 @@ def add_run_arguments(
     side: int | None = 224,
     renders: str = "number of renders",
 ) -> None:
-    """Add the arguments that `fide run` and `fide fit` share.
-
-    size, renders: explanations.  optimizer, budget, side: defaults, None where they depend.
-    """
+    """Add what `fide run` and `fide fit` share; optimizer, budget, side: defaults, if any."""
     add = parser.add_argument
     add("--optimizer", default=optimizer, metavar="NAME",
         help="see: fide list optimizers; or FILE.py:NAME")  # fmt: skip
@@ -121,8 +103,7 @@ def own_renderer(
 ) -> tuple[Any, Any, Any] | None:
     """A user's own renderer, its space, and its time limit; None for a built-in task.
 
-    reference: ``FILE.py:NAME``, or the name of a task.  templates: a command for each view, whose
-    limit is in seconds, with a default.  raw: whether it has a range of values.
+    templates: a command for each view, whose limit is in seconds.  raw: whether it has a range.
     """
     from fide_plugins.renderers import CommandRenderer, FunctionRenderer
     from fide_plugins.renderers.command import TIMEOUT

@@ -39,10 +39,9 @@ from fide_plugins.cli.arguments import (
     free_directory,
     optimizer_options,
     own_renderer,
-    setting,
     whole,
 )
-from fide_plugins.cli.progress import lines, page_of
+from fide_plugins.cli.progress import lines
 from fide_plugins.cli.terminal import (
     USAGE_ERRORS,
     as_typed,
@@ -60,15 +59,11 @@ from fide_plugins.runtime import laboratory
 from fide_plugins.validation.options import positive_fraction
 
 if TYPE_CHECKING:
-    from fide_plugins.cli.fit_inputs import Renders
-    from fide_plugins.fide import FIDE
     from fide_plugins.fitting.fitting import Fitting
     from fide_plugins.fitting.result import Result
     from fide_plugins.types import Solution
 
 
-MODELS = {"voronoi": "cells", "spline": "control_points"}
-"""Models, and the option of each that sets its number of elements."""
 _COMPARISON = ("photo", "photometric", "robust", "background")
 _OF_MODELS = ("cells", "control_points", "model_set", "optimizer", "start")
 """Arguments that no renderer of a user has."""
@@ -89,7 +84,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument("--renderer", metavar="FILE.py:NAME", help="your function")
     what.add_argument("--command", action="append", metavar="'PROGRAM ...'", dest="templates",
                       help="your program; once for each target")  # fmt: skip
-    what.add_argument("--model", choices=MODELS, help="model that draws the picture")
+    what.add_argument(
+        "--model", metavar="NAME", help="model that draws the picture: voronoi, spline"
+    )
     add_run_arguments(
         parser,
         size="longer side of the picture, at most (as it is; with --model 224)",
@@ -122,15 +119,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--encoder", metavar="NAME", help="see: fide list encoders (the preset's)")
     add("--learned", metavar="MODEL", help="model of: fide learn")
     _add_comparison(add)
-
-    model = parser.add_argument_group("a model that draws")
-    add = model.add_argument
-    add("--cells", type=whole(1), metavar="N", help="number of cells of voronoi (8)")
-    add("--control-points", type=whole(2), metavar="N", help="number of points of spline (7)")
-    add("--model-set", type=setting, action="append", metavar="KEY=VALUE",
-        help="any other option of the model")  # fmt: skip
-    add("--start", choices=("picture", "center"),
-        help="where fide begins (picture; other optimizers: center)")  # fmt: skip
+    if laboratory.is_installed():
+        laboratory.module("cli.fit_model").add_arguments(parser)
 
 
 def _add_comparison(add: Callable[..., object]) -> None:
@@ -169,7 +159,7 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
 def _refuse(args: argparse.Namespace, names: tuple[str, ...], given: str) -> None:
     """Raise OptionError for an argument that has no meaning beside `given`."""
     for name in names:
-        if getattr(args, name) is not None:
+        if getattr(args, name, None) is not None:
             flag, remedy = "--" + name.replace("_", "-"), "leave it out"
             if name == "optimizer":
                 remedy += "; to search with another one: fide run RENDERER --target PICTURE"
@@ -183,7 +173,7 @@ def _execute(args: argparse.Namespace, command: list[str]) -> int:
     who, args.optimizer = "fide fit", "fide"
     with warnings_as_notes(who):
         try:
-            fitting, out, renders = _prepare(args, command)
+            fitting, out = _prepare(args, command)
         except RenderError as error:
             note(f"{who}: {paragraph(error)}")
             return 1
@@ -196,9 +186,10 @@ def _execute(args: argparse.Namespace, command: list[str]) -> int:
         if fitting.record.evaluations:
             note(f"continuing {plain(out)} after {fitting.record.evaluations} renders")
         try:
-            with page_of(out) if args.live else nullcontext():
+            live = laboratory.module("cli.watch_command").page_of if args.live else nullcontext
+            with live(out):
                 result = fitting.execute()
-            _keep_pictures(renders, result, out)
+            _keep_pictures(fitting, args.workers, result, out)
         except FitInterrupted as stop:
             saved = [f" after {stop.result.evaluations} renders, saved in {plain(out)}"]
             unsaved = [f"\n{paragraph(one)}" for one in getattr(stop, "__notes__", ())]
@@ -219,9 +210,10 @@ def _execute(args: argparse.Namespace, command: list[str]) -> int:
     return 0
 
 
-def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Path, Renders]:
-    """Everything checked, with one render; the run directory; and what renders further points."""
-    from fide_plugins.cli.fit_inputs import Renders, pictures, value_range_of
+def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Path]:
+    """Everything checked, with one render; and the run directory."""
+    from fide_plugins.cli.fit_inputs import pictures, value_range_of
+    from fide_plugins.fitting.fidelity import Fidelity
     from fide_plugins.fitting.one_call import prepare
     from fide_plugins.fitting.stopping import Stopping
     from fide_plugins.fitting.workers import default_number
@@ -243,14 +235,7 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
     budget = None if endless else args.budget or _BUDGET
     workers = default_number() if args.workers is None else args.workers
     out = free_directory(args, Path(args.targets[0]).stem)
-
-    renders = Renders(render, workers, timeout, args.samples)
     share = 1.0 if share is None else positive_fraction("max_failures", share)
-
-    def check(optimizer: FIDE) -> None:
-        if read_run(out) is None:
-            renders.check_first(optimizer)
-
     fitting = prepare(
         render,
         targets[0] if len(targets) == 1 else targets,
@@ -264,11 +249,11 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
         resume=args.resume,
         command=command,
         progress=True if sys.stderr.isatty() else lines("fide fit"),
-        check=check,
-        fidelity=renders.fidelity,
+        check_first=read_run(out) is None,
+        fidelity=None if args.samples is None else Fidelity((32, 2**16), (1, args.samples)),
         max_failures=share,
     )
-    return fitting, out, renders
+    return fitting, out
 
 
 def _renderer(args: argparse.Namespace) -> tuple[Any, Any, Any]:
@@ -288,19 +273,25 @@ def _renderer(args: argparse.Namespace) -> tuple[Any, Any, Any]:
     return *found[:2], limit
 
 
-def _keep_pictures(renders: Renders, result: Any, out: Path) -> None:
+def _keep_pictures(fitting: Fitting, workers: int | None, result: Any, out: Path) -> None:
     """Render further solutions for `fide solutions`; those that fail stay without an image."""
     import numpy as np
 
     from fide_plugins.fitting.pictures import as_compared, picture
     from fide_plugins.fitting.rendering import Rendered
+    from fide_plugins.fitting.workers import gathered, workers_for
     from fide_plugins.recording.storage import SOLUTIONS
     from fide_plugins.runtime import checkpoint
 
-    points = [one.x for one in result.solutions[1:]]
-    outcomes = renders(result.optimizer, np.array(points)) if points else []
+    X = np.array([one.x for one in result.solutions[1:]])
+    if not len(X):
+        return
+    number = 0 if workers == 0 else min(fitting.workers.number, len(X))
+    pool = workers_for(fitting.renderer, number, None, fitting.timeout)
+    outcomes = list(gathered(pool, X, fitting.timeout))
+    pool.close()
     kept: dict[str, list[Any]] = {"x": [], "images": []}
-    for x, outcome in zip(points, outcomes, strict=True):
+    for x, outcome in zip(X, outcomes, strict=True):
         if isinstance(outcome, Rendered):
             with suppress(ImageError):  # no image that fits is a render that failed, too
                 image = as_compared(result.optimizer, outcome.image)

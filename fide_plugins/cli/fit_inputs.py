@@ -1,22 +1,12 @@
-"""What `fide fit` reads and renders before the search: pictures, and the first image."""
+"""What `fide fit` reads before the search: pictures, their weights and range of values."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from fide_plugins.errors import ImageError, OptionError, RenderError
-from fide_plugins.fitting.fidelity import Fidelity, schedule_for
-from fide_plugins.fitting.pictures import canonical
-from fide_plugins.fitting.rendering import Outcome, Rendered, Renderer
-from fide_plugins.fitting.workers import gathered, workers_for
-from fide_plugins.types import Float64
+from fide_plugins.errors import OptionError
 from fide_plugins.validation.image_files import read_pixels, shrunk
-from fide_plugins.validation.options import seconds_of
 from fide_plugins.views.views import joined, one_a_view, read_weights
-
-if TYPE_CHECKING:
-    from fide_plugins.fide import FIDE
 
 
 def value_range_of(words: list[str] | None) -> str | tuple[float, float] | None:
@@ -46,9 +36,7 @@ def pictures(
 ) -> tuple[list[Any], list[Any]]:
     """Targets (H, W) or (H, W, C), the longer side at most `side`, and weights (H, W) of each.
 
-    mask, weights: a file for each target, or "alpha" for the target's own alpha channel; a single
-    one for all targets.  raw: whether numbers are taken as they are stored.
-
+    mask, weights: a file or "alpha" for each target, or for all.  raw: numbers as they are stored.
     Raises ImageError: another number of them, or another size than the target's.
     """
     if mask is None and weights is None:
@@ -71,50 +59,3 @@ def pictures(
         targets.append(small)
         counting.append(less)
     return targets, counting
-
-
-class Renders:
-    """Renders points outside of the loop, as a fit renders them.
-
-    render, workers, timeout: as for `fit`.  samples: most of a pixel; images are the finest.
-    """
-
-    def __init__(
-        self,
-        render: Callable[..., object],
-        workers: int,
-        timeout: float | str | None,
-        samples: int | None = None,
-    ) -> None:
-        self._render, self._workers = render, workers
-        self.fidelity = None if samples is None else Fidelity((32, 2**16), (1, samples))
-        self._limit = None if timeout is None else seconds_of("timeout", timeout)
-
-    def __call__(self, optimizer: FIDE, X: Float64) -> list[Outcome]:
-        """Outcomes of points (n, dim); the start of a worker is no time of its render."""
-        schedule = schedule_for(self._render, self.fidelity, optimizer)
-        keywords = {} if schedule is None else schedule.finest()
-        raw = optimizer.value_range is not None
-        renderer = Renderer(self._render, optimizer.space, raw, keywords)
-        pool = workers_for(renderer, min(self._workers, len(X)), None, self._limit)
-        try:
-            return list(gathered(pool, X, self._limit))
-        finally:
-            pool.close()
-
-    def check_first(self, optimizer: FIDE) -> None:
-        """Render where the search begins, and check the images.
-
-        Raises RenderError for an error that other parameters hardly mend, ImageError (a ValueError)
-        for images that `FIDE.tell` refuses.  Other failures are left to the search.
-        """
-        (outcome,) = self(optimizer, optimizer.state.search.mean[None])
-        if isinstance(outcome, Rendered):
-            try:
-                canonical(optimizer, outcome.image)
-            except ImageError as error:
-                raise type(error)(f"the first render gave no image that fits: {error}") from error
-        elif outcome.broken:
-            told = outcome.reason in outcome.details  # a traceback ends with the reason
-            shown = outcome.details if told else f"{outcome.reason}\n{outcome.details}".rstrip()
-            raise RenderError(f"the first render failed: {shown}")

@@ -1,18 +1,14 @@
-"""Progress of a run: lines on standard error, and a page in the browser."""
+"""Progress of a run: lines on standard error."""
 
 from __future__ import annotations
 
 import math
 import sys
-import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
-from pathlib import Path
 
-from fide_plugins.cli.terminal import note, number, plain
+from fide_plugins.cli.terminal import note, number
 from fide_plugins.recording.record import PARTS, Progress, Report
-from fide_plugins.runtime import laboratory
 from fide_plugins.runtime.messages import duration
 
 _FIRST, _EVERY = 5.0, 60.0  # seconds until the first line, and between two: for a log file
@@ -61,25 +57,3 @@ def _parts(what: str, progress: Progress, each: float, done: int) -> Iterator[st
         total = max(progress.wall_s, 1e-9)
         yield "  ".join(f"{part} {progress.times[part] / total:.0%}" for part in PARTS)
     yield progress.remark
-
-
-@contextmanager
-def page_of(out: Path) -> Iterator[None]:
-    """Within this block, the page of a run directory is served and open in the browser.
-
-    Raises DependencyError without the laboratory.
-    """
-    server, url = laboratory.module("watch").serve(out)
-    try:
-        note(f"{url} shows {plain(out)} until the command ends")
-        open_page(url)
-        yield
-    finally:
-        server.close()
-
-
-def open_page(url: str) -> None:
-    """Open the browser, without waiting: some return when their window is closed."""
-    import webbrowser
-
-    threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()

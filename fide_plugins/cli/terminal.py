@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import logging
 import os
 import shlex
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from fide_plugins.errors import DependencyError, FideError
+from fide_plugins.errors import FideError
 
 USAGE_ERRORS = (FideError, ValueError, TypeError, OSError, ImportError)
 """Errors of the arguments or the installation, raised before anything is rendered."""
@@ -66,23 +65,6 @@ def discard(stream: Any) -> None:
 
 
 @contextmanager
-def notices(logger: str) -> Iterator[None]:
-    """Within this block, print the messages of a logger to standard error."""
-    log, handler = logging.getLogger(logger), logging.Handler(logging.INFO)
-    handler.emit = lambda record: note(plain(record.getMessage()))  # type: ignore[method-assign]
-    before = log.level, log.propagate
-    log.addHandler(handler)
-    log.setLevel(logging.INFO)
-    log.propagate = False
-    try:
-        yield
-    finally:
-        log.removeHandler(handler)
-        log.setLevel(before[0])
-        log.propagate = before[1]
-
-
-@contextmanager
 def warnings_as_notes(who: str) -> Iterator[None]:
     """Within this block, warnings are messages, without place and line."""
     with warnings.catch_warnings():
@@ -94,18 +76,6 @@ def picture_in(out: Path) -> str:
     """The picture of a run directory that shows most: summary.png, or best.png without figures."""
     found = [name for name in ("summary.png", "best.png") if (out / name).exists()]
     return plain(out / found[0] if found else out)
-
-
-def write_figure(who: str, path: Path, make: Callable[[], bytes]) -> Path | None:
-    """Write a figure to `path`; None, with a note, without matplotlib, which is an extra."""
-    from fide_plugins.runtime.files import write_bytes
-
-    try:
-        write_bytes(path, make())
-    except DependencyError as error:
-        note(f"{who}: {path.name} is left out: {error}")
-        return None
-    return path
 
 
 def number(value: float | None) -> str:

@@ -28,7 +28,7 @@ from fide_plugins.comparison.light import (
 from fide_plugins.comparison.scale_space import blurred
 from fide_plugins.losses.base import ImageLoss
 from fide_plugins.runtime.opencv import cv2
-from fide_plugins.runtime.schema import Schema, array, check, maybe, real, row, text
+from fide_plugins.runtime.schema import Schema, array, check, instance, maybe, real, row, text
 from fide_plugins.types import Float32, Float64
 from fide_plugins.views.views import View, Views
 
@@ -361,24 +361,18 @@ def _times(image: Float32, factor: Float32) -> Float32:
 def checked(state: Mapping[str, Any], views: Views) -> Mapping[str, Any]:
     """The state of a comparison with these views; ValueError if it is none."""
     least = maybe(row(*(array(*view.size, 3) for view in views.views)))
-    common = maybe(row(*[_LIGHT] * len(views.views)))
-    check(state, {**_SCHEMA, "common": common, "least": least}, {}, "comparison")
-    if state["light"] not in (NONE, EXPOSURE, SHADING):
-        raise ValueError(f"{state['light']!r} is no light")
-    common = state["common"]
-    return {**state, "common": None if common is None else [Light(**one) for one in common]}
-
-
-_LIGHT: dict[str, Schema] = {
-    "gain": array("k", "k", 3),
-    "offset": array(3),
-    "curve": array(3),
-}
-_SCHEMA: dict[str, Schema] = {
-    "light": text,
-    "blur": real(0.0),
-    "camera": real(0.0),
-}
+    light = instance(Light, {"gain": array("k", "k", 3), "offset": array(3), "curve": array(3)})
+    schema: Schema = {
+        "light": text,
+        "blur": real(0.0),
+        "camera": real(0.0),
+        "common": maybe(row(*[light] * len(views.views))),
+        "least": least,
+    }
+    found: dict[str, Any] = check(state, schema, {}, "comparison")
+    if found["light"] not in (NONE, EXPOSURE, SHADING):
+        raise ValueError(f"{found['light']!r} is no light")
+    return found
 
 
 def _taken(image: Float32) -> tuple[Float32, Float32 | None]:

@@ -2,28 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 
-from fide_plugins.runtime.schema import Schema, Sides, array, check, flag, maybe, whole
+from fide_plugins.runtime.schema import Schema, Stateful, array, flag, maybe, whole
 from fide_plugins.types import Float32, Float64, Solution
 
 _MOST = 16
 _BYTES = 2**24  # of all of them; one is kept, however large
-_SCHEMA: dict[str, Schema] = {
-    "x": array("n", "d", low=0.0, high=1.0),
-    "losses": array("n"),
-    "evaluations": array("n", kind="i", low=0),
-    "given": array("n", kind="b"),
-    "images": maybe(array("n", "H", "W", "channels")),
-    "considered": whole(),
-    "other_colors": maybe(flag),
-}
 
 
-class Kept:
+class Kept(Stateful):
     """Renders of the lowest losses, the best first.
 
     x: (n, d).  losses: (n,), in the present comparison.  evaluations: (n,), their numbers.
@@ -33,6 +23,16 @@ class Kept:
     considered: generations of the run when the light was considered last.
     other_colors: whether the target's colors were none of the first renders'; None: not looked at.
     """
+
+    SCHEMA: ClassVar[dict[str, Schema]] = {
+        "x": array("n", "d", low=0.0, high=1.0),
+        "losses": array("n"),
+        "evaluations": array("n", kind="i", low=0),
+        "given": array("n", kind="b"),
+        "images": maybe(array("n", "H", "W", "channels")),
+        "considered": whole(),
+        "other_colors": maybe(flag),
+    }
 
     def __init__(self, dim: int) -> None:
         self.x: Float64 = np.empty((0, dim))
@@ -88,17 +88,6 @@ class Kept:
         for name in ("x", "evaluations", "given", "images"):
             setattr(self, name, getattr(self, name)[order])
         self.losses = losses[order]
-
-    def state_dict(self) -> dict[str, Any]:
-        """Everything, as arrays."""
-        return {name: getattr(self, name) for name in _SCHEMA}
-
-    def load_state_dict(self, state: Mapping[str, Any], sides: Sides) -> None:
-        """Put back what `state_dict` gave; ValueError if it is none."""
-        known = {name: sides[name] for name in ("d", "H", "W")}
-        check(state, _SCHEMA, known, "kept")
-        for name in _SCHEMA:
-            setattr(self, name, state[name])
 
 
 def _with(images: Float32, channels: int) -> Float32:

@@ -15,14 +15,24 @@ contrast.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from fide_plugins.runtime.opencv import cv2
-from fide_plugins.runtime.schema import anything, array, check, each, flag, maybe, real, whole
+from fide_plugins.runtime.schema import (
+    Schema,
+    Stateful,
+    anything,
+    array,
+    each,
+    flag,
+    maybe,
+    real,
+    row,
+    whole,
+)
 from fide_plugins.types import Float32, Float64
 from fide_plugins.views import Views
 
@@ -52,7 +62,7 @@ _HARDLY, _LEAST_IF_HARDLY = 0.7, (1.03, 0.02)  # less agreement, and then the sa
 _RIDGES = np.geomspace(1e-4, 1.0, 7)
 
 
-class ScaleSpace:
+class ScaleSpace(Stateful):
     """The blur of the present search, and of those that follow it; whether blurs are useful.
 
     views: of the target.
@@ -61,11 +71,19 @@ class ScaleSpace:
     photo: whether all do where renders have a coverage.
     """
 
+    SCHEMA: ClassVar[dict[str, Schema]] = {
+        "useful": maybe(flag),
+        "asked": flag,
+        "blurs": each(real(0.0, 1.0), most=len(WIDTHS)),
+        "left": each(real(0.0, 1.0), most=len(WIDTHS)),
+        "seen": each(row(whole(), array("d"), each(anything))),
+    }
+
     def __init__(
         self, views: Views, *, possible: bool, at_once: bool = False, photo: bool = False
     ) -> None:
         self._views, self._photo = views, photo
-        self.blurs: tuple[float, ...] = BLURS
+        self.blurs: list[float] = list(BLURS)
         """Of a search that begins coarse and those that follow it, in sides of the image."""
         self.asked = at_once and possible
         """Whether all searches are as patient as pictures need that no render resembles."""
@@ -132,9 +150,9 @@ class ScaleSpace:
         self._seen, self.asked = [], True
         left = [contrast(self._views, kept, share * self._side) for share in (0.0, *BLURS)]
         enough = _LEAST_CONTRAST * left[0]
-        self.blurs = tuple(b for b, one in zip(BLURS, left[1:], strict=True) if one >= enough)
-        if self.blurs == BLURS:
-            self.blurs = _PHOTO_BLURS
+        self.blurs = [b for b, one in zip(BLURS, left[1:], strict=True) if one >= enough]
+        if len(self.blurs) == len(BLURS):
+            self.blurs = list(_PHOTO_BLURS)
         self.useful, self.left = bool(self.blurs), list(self.blurs)
         return self.useful
 
@@ -167,34 +185,6 @@ class ScaleSpace:
         """Never begin coarse again: images are not compared here, or by a user's own losses."""
         self.end()
         self.useful, self._seen = False, []
-
-    # -- saving ------------------------------------------------------------------------------------
-
-    def state_dict(self) -> dict[str, Any]:
-        """Everything that changes."""
-        seen = [{"index": i, "x": x, "images": images} for i, x, images in self._seen]
-        blurs = {"blurs": list(self.blurs), "left": list(self.left)}
-        return {"useful": self.useful, "asked": self.asked, "seen": seen, **blurs}
-
-    def load_state_dict(self, state: Mapping[str, Any], sides: Mapping[str, int]) -> None:
-        """Put back what `state_dict` gave; ValueError for what it cannot have given."""
-        check(state, _SCHEMA, dict(sides), "scale space")
-        self.useful, self.asked = state["useful"], state["asked"]
-        self.left = [one for one in _PHOTO_BLURS if one in state["left"]]
-        self.blurs = tuple(one for one in _PHOTO_BLURS if one in state["blurs"])
-        self._seen = [
-            (one["index"], one["x"].copy(), [each.copy() for each in one["images"]])
-            for one in state["seen"]
-        ]
-
-
-_SCHEMA: dict[str, Any] = {
-    "useful": maybe(flag),
-    "asked": flag,
-    "blurs": each(real(0.0, 1.0)),
-    "left": each(real(0.0, 1.0)),
-    "seen": each({"index": whole(), "x": array("d"), "images": each(anything)}),
-}
 
 
 def blurred(image: Float32, blur: float) -> Float32:

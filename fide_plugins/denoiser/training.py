@@ -1,22 +1,48 @@
-"""Training: Adam on pairs of parameters and images (Algorithm 1, line 8; supplement S1)."""
+"""Training by Adam on pairs of parameters and images, and sampling (Algorithm 1, lines 5 and 8).
+
+B examples, d parameters, T image tokens of C channels.  Noise is s = t * std, with std (d,) =
+sqrt(diag Sigma) at time t = 1; z = x + s * eps, eps ~ N(0, I).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from itertools import pairwise
+from typing import Any, TypeAlias
 
 import torch
 from torch import Tensor, nn
 
-from fide_plugins.denoiser import Denoise, Network
 from fide_plugins.denoiser.network import ParameterTransformer
 
-Preconditioner = Callable[[Network], Denoise]
-
-
-Objective = Callable[[Denoise, Tensor, Tensor, torch.Generator], Tensor]
+Network: TypeAlias = Callable[[Tensor, Tensor], Tensor]
+"""(z [B, d], s [B, d]) -> [B, d], the raw output of a network whose image is already bound."""
+Denoise: TypeAlias = Callable[[Tensor, Tensor], Tensor]
+"""(z [B, d], s [B, d]) -> x_hat [B, d]."""
+Preconditioner: TypeAlias = Callable[[Network], Denoise]
+"""Says what the output of a network means."""
+Objective: TypeAlias = Callable[[Denoise, Tensor, Tensor, torch.Generator], Tensor]
 """Scalar loss of a denoiser on clean parameters x (B, d), noise `std` (d,) at time 1."""
+
+CENTER = 0.5  # the start of every search; Algorithm 1 counts parameters from there (mu = 0)
+
+
+def x_prediction(network: Network) -> Denoise:
+    """x_hat = network(z, s), both relative to the center of the unit cube."""
+    return lambda z, s: CENTER + network(z - CENTER, s)
+
+
+def x_loss(denoise: Denoise, x: Tensor, std: Tensor, generator: torch.Generator) -> Tensor:
+    """Objective of the paper: || x_hat(x + s * eps, s) - x ||^2, s = t * std, t ~ U(0, 1).
+
+    S1: the timestep differs between parameters, and sqrt(diag Sigma) is that at the end of the
+    diffusion process.  So one t is drawn for each example, and the network gets the vector s.
+    """
+    t = torch.rand(len(x), 1, generator=generator, device=x.device, dtype=x.dtype)
+    s = t * std  # (B, d)
+    eps = standard_normal(x.shape, x, generator)
+    return (denoise(x + s * eps, s) - x).square().mean()
 
 
 def standard_normal(shape: tuple[int, ...], like: Tensor, generator: torch.Generator) -> Tensor:
@@ -24,21 +50,17 @@ def standard_normal(shape: tuple[int, ...], like: Tensor, generator: torch.Gener
     return torch.randn(shape, generator=generator, device=like.device, dtype=like.dtype)
 
 
-class XLoss:
-    """Objective of the paper: || x_hat(x + s * eps, s) - x ||^2, s = t * std, t ~ U(0, 1).
+@torch.no_grad()
+def euler(denoise: Denoise, z: Tensor, std: Tensor, schedule: Sequence[float]) -> Tensor:
+    """Integrate `z` [B, d] from time schedule[0] to 0 by Euler's method (Karras et al. 2022).
 
-    S1: the timestep differs between parameters, and sqrt(diag Sigma) is that at the end of the
-    diffusion process.  So one t is drawn for each example, and the network gets the vector s.
+    A step from t to t' keeps the fraction t'/t of the noise: z' = x_hat + (t' / t) * (z - x_hat).
+    std: [d], noise at time 1.  Parameters with std = 0 become the estimate of `denoise`.
     """
-
-    def __call__(
-        self, denoise: Denoise, x: Tensor, std: Tensor, generator: torch.Generator
-    ) -> Tensor:
-        """One draw of time and noise for each example."""
-        t = torch.rand(len(x), 1, generator=generator, device=x.device, dtype=x.dtype)  # ~ U(0, 1)
-        s = t * std  # (B, d)
-        eps = standard_normal(x.shape, x, generator)  # ~ N(0, I)
-        return (denoise(x + s * eps, s) - x).square().mean()
+    for t, later in pairwise([*schedule, 0.0]):
+        x_hat = denoise(z, (t * std).expand_as(z))
+        z = x_hat + (later / t) * (z - x_hat)
+    return z
 
 
 def fit(

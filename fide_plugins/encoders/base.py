@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from contextlib import AbstractContextManager
-from typing import Any
 
-import numpy as np
 import torch
 
-from fide_plugins.errors import CheckpointError, FeaturesError
+from fide_plugins.errors import CheckpointError
 from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.devices import on_device, resolve_device
 from fide_plugins.runtime.threads import user_threads
@@ -81,52 +79,3 @@ class PatchEncoder(ABC):
     @abstractmethod
     def _encode(self, images: torch.Tensor) -> torch.Tensor:
         """Tokens (n, T, C) of the output of `_prepare`."""
-
-
-def as_features(
-    features: Any,
-    shape: tuple[int, int, int],
-    encoder: PatchEncoder,
-    *,
-    version: str | None = None,
-    device: torch.device | None = None,
-) -> torch.Tensor:
-    """Tokens of n images that were encoded elsewhere, as float32 (n, T, C) on the device.
-
-    features: array or tensor, or a list of n arrays or tensors (T, C).
-    shape: required shape (n, T, C); T and C are those of the target's tokens.
-    encoder: that of the optimizer.
-    version: of the encoder that made the features: two versions may give features of the same
-        shape.  None: unknown.
-    device: of the result; None: that of the encoder.
-
-    Raises FeaturesError (a ValueError) for another version, another shape, no real numbers, or
-    values that are not finite.
-    """
-    if version is not None and version != encoder.version:
-        raise FeaturesError(
-            f"features must be by the optimizer's own encoder, of the version {encoder.version!r}, "
-            f"not {version!r}; encode the images again with that, or tell the images themselves"
-        )
-    rule = (
-        f"features must be what the encoder {encoder.name!r} gives for images of the target's "
-        f"size, finite floats (n, T, C) = {shape}"
-    )
-    try:
-        several = isinstance(features, list | tuple)
-        array = np.stack(list(map(_as_array, features))) if several else _as_array(features)
-    except (TypeError, ValueError, RuntimeError) as error:
-        raise FeaturesError(f"{rule}: {error}") from error
-    if array.dtype.kind != "f" or array.shape != shape:
-        raise FeaturesError(f"{rule}, not {array.shape} of {array.dtype}")
-    with np.errstate(over="ignore"):  # too large for float32: not finite, and refused
-        tokens = torch.from_numpy(array.astype(np.float32))
-    if not torch.isfinite(tokens).all():
-        raise FeaturesError(f"{rule}; leave out images that have none")
-    return tokens.to(encoder.device if device is None else device)
-
-
-def _as_array(features: Any) -> np.ndarray[Any, Any]:
-    if isinstance(features, torch.Tensor):
-        features = features.detach().cpu().numpy()
-    return np.asarray(features)

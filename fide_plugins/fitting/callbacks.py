@@ -87,10 +87,7 @@ class Callbacks:
         return any(self._methods.values())
 
     def call(self, name: str, argument: object) -> bool:
-        """Call the method of that name of all with an argument; returns whether one stops the fit.
-
-        Raises CallbackError (a FitError) if one of them raises anything else.
-        """
+        """Call method `name` of all with `argument`; whether one stops the fit.  CallbackError."""
         stops = False
         for method in self._methods[name]:
             try:

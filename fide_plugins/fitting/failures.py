@@ -119,10 +119,7 @@ _LARGE = 50.0  # factor that no choice of parameters has brought about
 
 
 def suspicion_of(optimizer: FIDE) -> str | None:
-    """Sentence that says what seems wrong with all renders; None: nothing.
-
-    Compared are mean squared errors of the best image, whatever the loss is.
-    """
+    """What seems wrong with all renders, by squared errors of the best image; None: nothing."""
     best = optimizer.state.best
     image = None if best is None else best.solution.image
     if image is None or optimizer.status.code in ("solved", "noise"):

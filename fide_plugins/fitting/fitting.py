@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+import sys
 import time
 from collections.abc import Mapping
 from contextlib import closing, nullcontext, suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,15 +28,15 @@ from fide_plugins.fitting.loop import Loop
 from fide_plugins.fitting.pictures import as_compared, as_told, canonical, shown
 from fide_plugins.fitting.rendering import Failed, Outcome, Renderer, Workers
 from fide_plugins.fitting.result import Result, result_from
-from fide_plugins.fitting.saved_run import SavedRun, Unsaved
-from fide_plugins.fitting.schedule import Planner, Schedule
+from fide_plugins.fitting.saved_run import SavedRun, best_pictures, write_later
+from fide_plugins.fitting.schedule import Schedule, planned
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers import gathered
 from fide_plugins.recording.directory import note_unsaved
 from fide_plugins.recording.record import Record
 from fide_plugins.recording.signals import Interrupted, Interrupts
 from fide_plugins.runtime.messages import warn_user
-from fide_plugins.uncertainty.at_answer import AtAnswer
+from fide_plugins.types import Estimated
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
@@ -80,7 +81,7 @@ class Fitting:
         self._shown_at = 0.0
         self._std: Float64 | None = None
         self._std_renders = 0
-        self._pool, self._planner = self.workers, None
+        self._pool, self._lines = self.workers, list[str]()  # of the plan
         if self.schedule is None:
             return
         if self.record.fineness is None:
@@ -89,8 +90,6 @@ class Fitting:
             self.schedule.load_state_dict(self.record.fineness)
         self.workers = WorkersAsked(self.workers, self.schedule)
         self.stopping = replace(self.stopping, schedule=self.schedule)
-        if self.stopping.seconds is not None and not self.record.evaluations:
-            self._planner = Planner(self.stopping.seconds, self.workers.number)
 
     def execute(self) -> Result:
         """Fit until a rule says stop; raises what `fit` does, after saving what was computed."""
@@ -118,10 +117,14 @@ class Fitting:
         """Search; returns why the search has ended."""
         loop = self._loop
         loop.stopped = loop.over()
-        if self._planner and self.schedule and loop.stopped is None:
+        seconds, schedule = self.stopping.seconds, self.schedule
+        if schedule and seconds and not self.record.evaluations and loop.stopped is None:
             with interrupts.stoppable():
-                self._planner.measure(self.optimizer, self.schedule, self._pool, self.timeout)
-            self._planner.show(self._report is not None)
+                self._lines = planned(schedule, self.optimizer, self._pool, self.timeout, seconds)
+            if self._report is not None and sys.stderr is not None:
+                lines = [f"plan: {line}\n" for line in self._lines]
+                clear = "\r\x1b[K" if sys.stderr.isatty() else ""
+                print(clear, *lines, sep="", end="", file=sys.stderr)
         stopped = loop.run()
         if stopped != "callback":
             self._judge()
@@ -247,7 +250,8 @@ class Fitting:
         if self.saved is not None:
             with self._loop.checkpoints.writing():
                 self._note_pending()
-                self.saved.save(self.record, self.optimizer)
+                best = best_pictures(self.record, self.optimizer)
+                self.saved.save(self.record, self.optimizer, *best)
 
     def _note_pending(self) -> None:
         """Enter what was asked and not told in the record, so that it may be saved."""
@@ -304,27 +308,28 @@ class Fitting:
         saved, record, optimizer = self.saved, self.record, self.optimizer
         if saved is None:
             return
-        plan = [] if self._planner is None else self._planner.lines
         try:
             if self._loop.whole:
                 self.save()
             else:  # in the midst of a step of the optimizer, which cannot be saved
                 self._note_pending()
-                saved.write_tables(record, optimizer)
+                saved.write_tables(record, *best_pictures(record, optimizer))
         except Exception:
             state = "failed" if state == "finished" else state
             with suppress(Exception):
-                saved.leave(state, stopped, record, optimizer, self._solutions, plan)
+                saved.leave(state, stopped, record, optimizer, self._solutions, self._lines)
             raise
-        saved.leave(state, stopped, record, optimizer, self._solutions, plan)
+        saved.leave(state, stopped, record, optimizer, self._solutions, self._lines)
 
     @cached_property  # of the end: files and result share it, and its standard deviations
     def _solutions(self) -> list[Solution]:
         """Those of the optimizer, the best one with standard deviations by renders around it."""
         solutions = self.optimizer.solutions()
         if self._std is not None:
-            best = solutions[0]
-            solutions[0] = replace(best, estimate=AtAnswer(self._std, best.estimate))
+            best, ambiguous = solutions[0], None
+            if best.estimate is not None and len(numbers(self.optimizer)) < self.optimizer.dim:
+                ambiguous = best.estimate.ambiguous  # of the others, by samples of the search
+            solutions[0] = replace(best, estimate=Estimated(self._std, ambiguous))
         return solutions
 
     def _result(self, stopped: str) -> Result:
@@ -344,8 +349,8 @@ class Fitting:
             stopped=stopped,
             out=None if self.saved is None else self.saved.path,
             std_renders=self._std_renders,
-            plan=() if self._planner is None else tuple(self._planner.lines),
-            unsaved=Unsaved(optimizer, record, self.plan, stopped, solutions),
+            plan=tuple(self._lines),
+            unsaved=partial(write_later, optimizer, record, self.plan, stopped, solutions),
         )
 
 

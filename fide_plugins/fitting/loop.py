@@ -48,12 +48,9 @@ class Steps(Protocol):
 class Loop:
     """Asks, renders, tells and records until a rule says stop.
 
-    steps: what is asked, and what becomes of what was rendered.
-    record: history of the run, of earlier calls too; what was pending is rendered first.
+    record: of earlier calls, too; what was pending is rendered first.
     interrupts: Ctrl-C and SIGTERM stop the waiting, but no step of the optimizer.
-    timeout: seconds that a render may take.
     piece: most candidates that are rendered together, as X (n, dim); None: each as x (dim,).
-    checkpoint_every: seconds between checkpoints, see `CheckpointTimer`.
 
     whole: whether record and optimizer agree, so that they may be saved.
     stopped: why the run ends, where its steps say so.

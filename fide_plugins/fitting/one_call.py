@@ -8,20 +8,21 @@ from inspect import signature
 from textwrap import shorten
 from typing import Any
 
-from fide_plugins.errors import OptionError
+from fide_plugins.errors import ImageError, OptionError, RenderError
 from fide_plugins.fide import FIDE
 from fide_plugins.fitting.callbacks import Callbacks, check_progress
 from fide_plugins.fitting.fidelity import Fidelity, schedule_for
 from fide_plugins.fitting.fitting import Fitting
-from fide_plugins.fitting.rendering import Renderer
+from fide_plugins.fitting.pictures import canonical
+from fide_plugins.fitting.rendering import Rendered, Renderer, Workers
 from fide_plugins.fitting.result import Result
 from fide_plugins.fitting.saved_run import SavedRun, seed_there, settings_of
 from fide_plugins.fitting.schedule import Schedule
 from fide_plugins.fitting.stopping import Stopping
-from fide_plugins.fitting.workers import default_number, workers_for
+from fide_plugins.fitting.workers import default_number, gathered, workers_for
 from fide_plugins.learning.hypotheses import with_model
 from fide_plugins.options import check_known
-from fide_plugins.recording.directory import of_files, of_losses, of_models, of_weights
+from fide_plugins.recording.directory import of_files
 from fide_plugins.recording.record import Record
 from fide_plugins.recording.storage import is_saved
 from fide_plugins.renderers.keywords import keywords_of
@@ -188,14 +189,15 @@ def prepare(
     options: dict[str, Any] | None = None,
     checkpoint_every: float = 5.0,
     command: Sequence[str] | None = None,
-    check: Callable[[FIDE], None] | None = None,
+    check_first: bool = False,
     max_failures: float = 1.0,
     fidelity: Fidelity | bool | None = None,
 ) -> Fitting:
-    """Check the arguments, and make or resume a fit; nothing is rendered yet.
+    """Check the arguments, and make or resume a fit; at most one image is rendered.
 
     stopping: when it is over.  checkpoint_every: seconds between checkpoints.  command: to record.
-    check: gets the optimizer before anything is written, and may raise.  All else as for `fit`.
+    check_first: whether one image is rendered before anything is written, see `_check_first`.
+    All else as for `fit`.
     """
     _check_render(render, named=isinstance(space, Space))
     if out == "" or (switch("resume", resume) and out is None):
@@ -214,8 +216,8 @@ def prepare(
     keywords = {} if schedule is None else schedule.finest()
     renderer = Renderer(render, optimizer.space, optimizer.value_range is not None, keywords)
     pool = workers_for(renderer, number, executor, limit)
-    if check is not None:
-        check(optimizer)
+    if check_first:
+        _check_first(optimizer, pool, limit)
     plan = _plan(render, optimizer, stopping, options, schedule)
     record, saved = None, None
     if out is not None:
@@ -225,6 +227,27 @@ def prepare(
         optimizer, renderer, pool, stopping, watchers, record or Record(), saved, plan,
         limit, progress, checkpoint_every, max_failures, schedule,
     )  # fmt: skip
+
+
+def _check_first(optimizer: FIDE, pool: Workers, limit: float | None) -> None:
+    """Render where the search begins, and check the image.
+
+    Raises RenderError for an error that other parameters hardly mend, ImageError (a ValueError) for
+    an image that `FIDE.tell` refuses.  Other failures are left to the search.
+    """
+    (outcome,) = gathered(pool, optimizer.state.search.mean[None], limit)
+    try:
+        if isinstance(outcome, Rendered):
+            canonical(optimizer, outcome.image)
+            return
+    except ImageError as error:
+        pool.close()
+        raise type(error)(f"the first render gave no image that fits: {error}") from error
+    if outcome.broken:
+        pool.close()
+        told = outcome.reason in outcome.details  # a traceback ends with the reason
+        shown = outcome.details if told else f"{outcome.reason}\n{outcome.details}".rstrip()
+        raise RenderError(f"the first render failed: {shown}")
 
 
 def _plan(
@@ -238,8 +261,7 @@ def _plan(
     settings = settings_of(name, optimizer, options)
     if schedule is not None:
         settings["fidelity"] = schedule.options
-    sources = of_files({name: fingerprint_of(render)}) | of_models(options)
-    sources |= of_weights(optimizer) | of_losses([optimizer.evaluator.loss])
+    sources = of_files({name: fingerprint_of(render)})
     return {"settings": settings, "limits": stopping.record(), "sources": sources}
 
 

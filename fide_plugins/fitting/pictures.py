@@ -42,7 +42,7 @@ def canonical(optimizer: FIDE, image: Any) -> Float32:
 def as_compared(optimizer: FIDE, image: Any) -> Float32:
     """The same in the light of the target, and over it where it covers nothing."""
     told, evaluator = as_told(optimizer, image), optimizer.evaluator
-    batch = evaluator.as_batch(1, told, np.zeros(1), None, Clipping().note)
+    batch = evaluator.as_batch(1, told, np.zeros(1), Clipping().note)
     assert batch is not None  # an image was given
     return evaluator.shown(batch[0])
 

@@ -36,10 +36,7 @@ _STARTING = threading.Lock()
 
 
 class Processes(Workers):
-    """Worker processes; `number` of them, started when they are first needed.
-
-    Raises what the renderer raises if it cannot be pickled.
-    """
+    """Worker processes, started when they are first needed; raises what pickling raises."""
 
     def __init__(self, renderer: Callable[[Any], Outcome], number: int) -> None:
         self.number = number

@@ -32,10 +32,7 @@ _BROKEN = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rendered:
-    """An image as the user's function returned it, or read from the file that it named.
-
-    seconds: duration of the render.
-    """
+    """An image as the user's function returned it, or read from its file; seconds: it took."""
 
     image: Any
     seconds: float
@@ -78,10 +75,7 @@ class Failed:
 
     @classmethod
     def by(cls, error: BaseException) -> Failed:
-        """What an exception of the user's function says; its traceback without our own frames.
-
-        A RenderError is complete: its message has parameters and traceback, or the last output.
-        """
+        """What an exception of the user's function says; a RenderError is complete."""
         if isinstance(error, RenderError):
             reason, _, details = str(error).partition("\n")
             inner = error.__context__  # of which the message tells
@@ -197,10 +191,7 @@ def _in_memory(image: Any, raw: bool) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class Portable:
-    """A renderer for other processes; its images come back as bytes, see `unpack`.
-
-    A function of the script or notebook itself travels by value, others by name.
-    """
+    """A renderer for other processes, by value; its images come back as bytes, see `unpack`."""
 
     payload: bytes
 
@@ -225,10 +216,7 @@ def restored(payload: bytes) -> Callable[[Any], Outcome]:
 
 
 def pack(outcome: Outcome) -> Outcome:
-    """The same with its image as bytes.
-
-    Tensors travel by value then: PyTorch would share the memory of a worker that may be killed.
-    """
+    """The same with its image as bytes: PyTorch would share the memory of a killed worker."""
     if isinstance(outcome, Failed):
         return outcome
     try:

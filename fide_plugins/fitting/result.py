@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import os
 import shutil
-from base64 import b64encode
 from collections.abc import Callable
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,25 +13,22 @@ import numpy as np
 
 from fide_plugins import encoders
 from fide_plugins.errors import FideError, OptionError
-from fide_plugins.fitting.pictures import best_compared, counting, shown, side_by_side
+from fide_plugins.fitting.pictures import best_compared, shown
 from fide_plugins.recording.directory import is_of_a_run, results_in
-from fide_plugins.recording.figures import GAIN, Panel, as_png, difference, result_figure, thumbnail
-from fide_plugins.recording.parameters import ROUGH, described, is_rough, rows
+from fide_plugins.recording.parameters import ROUGH, described, is_rough
 from fide_plugins.recording.record import Record, best_so_far
 from fide_plugins.recording.storage import RunDirectoryError, is_saved, read_run, with_optimizer
 from fide_plugins.renderers import naming
-from fide_plugins.runtime import checkpoint
+from fide_plugins.runtime import checkpoint, laboratory
 from fide_plugins.runtime.messages import cut
-from fide_plugins.validation.values import ValueRange
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from fide_plugins.fide import FIDE
     from fide_plugins.fitting.rendering import Failed
-    from fide_plugins.fitting.saved_run import Unsaved
     from fide_plugins.status import Status
-    from fide_plugins.types import Float32, Float64, Indices, Solution
+    from fide_plugins.types import Float64, Indices, Solution
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -59,12 +54,12 @@ class Result:
     out: run directory; None without.
     optimizer: goes on where the fit has ended.
     cost: of all renders, in full ones, by pixels times samples; see `Fidelity`.
-    plan: three lines on how a fit with a `time` and a choice of sizes was to spend it; else none.
+    plan: two lines on how a fit with a `time` and a choice of sizes was to spend it; else none.
     std_renders: renders around the answer, beside the evaluations, from which `best.std` is
         computed; 0: it is rough, from samples of the search, or was read.
     value_range: values of target and images that are black and white; None: 0 and 1.
     compared: best image as it is compared, where that is another picture than `best.image`.
-    unsaved: what `save` writes, of a fit that has just ended.
+    unsaved: what `save` calls, of a fit that has just ended.
     """
 
     best: Solution | None
@@ -91,7 +86,7 @@ class Result:
     plan: tuple[str, ...] = ()
     clipped: int = 0
     value_range: tuple[float, float] | None = None
-    unsaved: Unsaved | None = None
+    unsaved: Callable[[str | os.PathLike[str]], None] | None = None
     rejected: float | None = None
     compared: Any = None
 
@@ -105,7 +100,8 @@ class Result:
 
         Views are side by side.  `figure.savefig(path)` writes it.
         """
-        return result_figure(self._panels(), self.losses, self.loss)
+        figure: Figure = laboratory.module("figures").of_result(self)
+        return figure
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the run directory that `out` would have written: of this moment of the fit.
@@ -124,7 +120,7 @@ class Result:
                 if file.is_file() and not file.is_symlink():
                     shutil.copyfile(file, to / file.name)
         elif self.unsaved is not None:
-            self.unsaved.write(path)
+            self.unsaved(path)
         else:
             raise FideError("this result has neither a run directory nor an optimizer")
 
@@ -160,37 +156,8 @@ class Result:
 
     def _repr_html_(self) -> str:
         """HTML: status, pictures, and parameters in their units."""
-        best, table = self.best, rows([] if self.best is None else [self.best])
-        lines = [
-            [row.name, row.values[0], row.unit, "" if row.determined else "not determined"]
-            for row in table[:_MOST]
-        ]
-        cells = "".join(
-            f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in line)}</tr>" for line in lines
-        )
-        more = f"<p>... {len(table) - _MOST} more</p>" if len(table) > _MOST else ""
-        more += f"<p>{ROUGH}</p>" if best is not None and is_rough(best) else ""
-        return (
-            f"<div><p><b>{escape(str(self.status))}</b><br>{escape(self.facts)}</p>"
-            '<div style="display:flex;flex-wrap:wrap;gap:8px;align-items:flex-end">'
-            f"{''.join(map(_picture, self._panels()))}</div><table>{cells}</table>{more}</div>"
-        )
-
-    def _shown(self, image: Any) -> Float32:
-        if self.value_range is None:
-            return side_by_side(image)
-        values = ValueRange(*self.value_range)
-        listed = image if isinstance(image, list) else [image]
-        return side_by_side([np.clip(values.scaled(one), 0.0, 1.0) for one in listed])
-
-    def _panels(self) -> list[Panel]:
-        target = self._shown(self.target)
-        panels = [Panel("target", target)]
-        if self.best is not None and self.best.image is not None:
-            image = self._shown(self.best.image if self.compared is None else self.compared)
-            apart = difference(target, image, counting(self.weights, self.target))
-            panels += [Panel("best", image), Panel(f"{GAIN}x difference", apart)]
-        return panels
+        html: str = laboratory.module("figures").html_of(self)
+        return html
 
 
 def result_from(optimizer: FIDE, record: Record, solutions: list[Solution], **known: Any) -> Result:
@@ -216,23 +183,6 @@ def result_from(optimizer: FIDE, record: Record, solutions: list[Solution], **kn
         value_range=optimizer.value_range,
         compared=None if compared is None else shown(optimizer, compared),
         **known,
-    )
-
-
-_SIDE, _WIDE = 160, 480  # pixels of a picture: its longer side; of several views side by side
-_MOST = 40  # parameters
-
-
-def _picture(panel: Panel) -> str:
-    height, breadth = panel.image.shape[:2]
-    side = _WIDE if breadth > 2 * height else _SIDE
-    shown = round(side * breadth / max(height, breadth))
-    source = b64encode(as_png(thumbnail(panel.image, side))).decode()
-    name = escape(panel.name)
-    return (
-        f'<figure style="margin:0"><figcaption>{name}</figcaption><img alt="{name}" '
-        f'src="data:image/png;base64,{source}" '
-        f'style="width:{shown}px;image-rendering:pixelated"></figure>'
     )
 
 

@@ -7,7 +7,6 @@ import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ from fide_plugins.fitting.pictures import best_compared, counting, picture, show
 from fide_plugins.fitting.result import Result, opened, result_from
 from fide_plugins.recording.directory import RunDirectory, try_each
 from fide_plugins.recording.parameters import solutions_as_data, with_std
-from fide_plugins.recording.record import Record, RunResult, Verdict, result_of
+from fide_plugins.recording.record import Record, totals_of
 from fide_plugins.recording.storage import RunDirectoryError, impossible, read_record, read_run
 from fide_plugins.runtime.registry import own_name
 from fide_plugins.types import Float32, Solution
@@ -28,37 +27,19 @@ _CONTENTS = ("mask", "weights", "value_range")
 """Options that are recorded by what they are, not as they are given."""
 
 
-class SavedRun:
-    """What a fit writes, and what it reads when it is resumed; plan: as of a `RunDirectory`."""
-
-    def __init__(self, out: str | os.PathLike[str], **plan: Any) -> None:
-        self._directory = RunDirectory(out, **plan)
-        self.path, self.close = self._directory.path, self._directory.close
-        self._budget: int | None = plan["limits"].get("budget")
+class SavedRun(RunDirectory):
+    """The run directory of a fit."""
 
     def begin(self, optimizer: FIDE) -> Record | None:
-        """Restore the optimizer, and write what is known before the first render.
-
-        Returns the record that was saved; None without one.
-        """
+        """Restore the optimizer, and write what is known; the record that was saved, if any."""
         with ExitStack() as refused:
             refused.callback(self.close)
-            restored = self._directory.restore(optimizer.continue_from)
+            restored = self.restore(optimizer.continue_from)
             target = optimizer.evaluator.full.target
-            self._directory.write_target(
-                picture(optimizer, target), _in_user_values(optimizer, target)
-            )
-            self._directory.write_run()
+            self.write_target(picture(optimizer, target), _in_user_values(optimizer, target))
+            self.write_run()
             refused.pop_all()
         return None if restored is None else restored[0]
-
-    def save(self, record: Record, optimizer: FIDE) -> None:
-        """Write a checkpoint, the tables and the best image, each also where another fails."""
-        self._directory.save(record, optimizer, *_best_pictures(record, optimizer))
-
-    def write_tables(self, record: Record, optimizer: FIDE) -> None:
-        """Write the tables and the best image."""
-        self._directory.write_tables(record, *_best_pictures(record, optimizer))
 
     def leave(
         self,
@@ -70,17 +51,18 @@ class SavedRun:
         plan: Sequence[str] = (),
     ) -> None:
         """Write totals and the summary; stopped, solutions, plan: see `Result`."""
-        image, verdict = None if record.image is None else best_compared(optimizer), Verdict()
-        if image is not None:  # nobody knows a better one
-            verdict = Verdict(image, record.best_loss, optimizer.views.squared_error(image))
-        result = result_of(
-            self._directory.settings,
+        image = None if record.image is None else best_compared(optimizer)
+        known = totals_of(
+            self.settings,
             record,
-            verdict,
-            budget=self._budget or record.evaluations,
-            status=optimizer.status,
+            budget=self.budget or record.evaluations,
+            mse=math.nan if image is None else optimizer.views.squared_error(image),
         )
-        more = {
+        if optimizer.space is not None and record.x_best is not None:
+            known["params"] = optimizer.space.decode(record.x_best)
+        totals = {
+            **known,
+            **optimizer.status.to_dict(),
             "failures": record.failures,
             "clipped": optimizer.clipped,
             "cost": record.cost,
@@ -88,68 +70,60 @@ class SavedRun:
             "solutions": solutions_as_data(solutions),
         }
         writes = [
-            lambda: self._write_summary(result, optimizer),
-            lambda: self._directory.write_run(state, result, stopped, more),
+            lambda: self._draw_summary(record, optimizer, image),
+            lambda: self.write_run(state, totals, stopped),
         ]
         if not record.evaluations:
             del writes[0]
         try_each(*(writes if state == "finished" else reversed(writes)))  # a kill may come soon
 
-    def _write_summary(self, result: RunResult, optimizer: FIDE) -> None:
-        first, best = (
-            None if image is None else picture(optimizer, image)
-            for image in (result.first_image, result.reference)
+    def _draw_summary(self, record: Record, optimizer: FIDE, image: Float32 | None) -> None:
+        target, first, best = (
+            None if one is None else picture(optimizer, one)
+            for one in (optimizer.evaluator.full.target, record.first_image, image)
         )
-        shown = replace(result, first_image=first, image=best, reference=best)
-        target = picture(optimizer, optimizer.evaluator.full.target)
-        self._directory.write_summary(shown, target, counting(optimizer.weights, optimizer.target))
+        self.write_summary(
+            record, target, first, best, counts=counting(optimizer.weights, optimizer.target)
+        )
 
 
-def _best_pictures(record: Record, optimizer: FIDE) -> tuple[Float32 | None, Float32 | None]:
+def best_pictures(record: Record, optimizer: FIDE) -> tuple[Float32 | None, Float32 | None]:
     """The best image as one picture: in [0, 1], and in the user's values where these are others."""
     best = None if record.image is None else best_compared(optimizer)
     shown = None if best is None else picture(optimizer, best)
     return shown, _in_user_values(optimizer, best)
 
 
-@dataclass(frozen=True, eq=False)
-class Unsaved:
-    """A fit without a run directory, which can still be written to one.
+def write_later(
+    optimizer: FIDE,
+    record: Record | None,
+    plan: Mapping[str, Any],
+    stopped: str,
+    solutions: Sequence[Solution],
+    path: str | os.PathLike[str],
+) -> None:
+    """Write a fit without a run directory into one; FideError if that cannot be done, OSError.
 
-    record: None where it has stopped in the midst of a step of the optimizer.
-    plan: arguments of `SavedRun`.  stopped, solutions: see `Result`.
+    record: None where it has stopped in the midst of a step.  plan: arguments of `SavedRun`.
     """
-
-    optimizer: FIDE
-    record: Record | None
-    plan: Mapping[str, Any]
-    stopped: str
-    solutions: Sequence[Solution]
-
-    def write(self, path: str | os.PathLike[str]) -> None:
-        """Write the run directory `path`.  Raises FideError if that cannot be done; OSError."""
-        record, optimizer = self.record, self.optimizer
-        if record is None:
-            raise OptionError("the fit was stopped in the midst of a step, and cannot be saved")
-        if optimizer.evaluations != record.evaluations:
-            raise OptionError(
-                f"the optimizer has gone on since: {optimizer.evaluations} evaluations, and the "
-                f"result is of {record.evaluations}; write optimizer.save(path) instead"
-            )
-        saved = SavedRun(path, **self.plan, resume=False, command=None)
-        with closing(saved):
-            saved.begin(optimizer)
-            saved.save(record, optimizer)
-            ended = self.stopped not in ("interrupted", "failed")
-            state = "finished" if ended else self.stopped
-            saved.leave(state, self.stopped, record, optimizer, self.solutions)
+    if record is None:
+        raise OptionError("the fit was stopped in the midst of a step, and cannot be saved")
+    if optimizer.evaluations != record.evaluations:
+        raise OptionError(
+            f"the optimizer has gone on since: {optimizer.evaluations} evaluations, and the "
+            f"result is of {record.evaluations}; write optimizer.save(path) instead"
+        )
+    with closing(SavedRun(path, **plan, resume=False, command=None)) as saved:
+        saved.begin(optimizer)
+        saved.save(record, optimizer, *best_pictures(record, optimizer))
+        state = stopped if stopped in ("interrupted", "failed") else "finished"
+        saved.leave(state, stopped, record, optimizer, solutions)
 
 
 def settings_of(name: str, optimizer: FIDE, options: Mapping[str, Any]) -> dict[str, Any]:
     """What defines a fit, which must be the same to resume it.
 
-    name: of what renders; options: of the optimizer, as the user gave them.  Arrays are recorded by
-    their digest; a starting point, its width and groups as the optimizer has made them.
+    options: of the optimizer, as the user gave them; arrays are recorded by their digest.
     """
     target, several = optimizer.evaluator.full.target, isinstance(optimizer.target, list)
     space = optimizer.space

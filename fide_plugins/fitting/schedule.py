@@ -6,7 +6,6 @@ Samples rise where noise decides ranks, sizes where the search sees no more at t
 from __future__ import annotations
 
 import math
-import sys
 from collections import deque
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -210,9 +209,8 @@ class Schedule:
     def _note_pair(self, first: float, outcome: Rendered) -> None:
         evaluator = self._optimizer.evaluator
         try:
-            batch = evaluator.as_batch(
-                1, as_told(self._optimizer, outcome.image), None, None, Clipping().note
-            )
+            told = as_told(self._optimizer, outcome.image)
+            batch = evaluator.as_batch(1, told, None, Clipping().note)
         except ImageError:
             return
         second = float(evaluator.evaluate(1, batch, encode=False).losses[0])
@@ -220,10 +218,7 @@ class Schedule:
             self._halves.append((first - second) ** 2 / 2)
 
     def note(self, x: Float64, loss: float, *, spent: float, left: float) -> None:
-        """Note the loss of x (d,), which was told.
-
-        spent: share of budget or time; left: renders of the budget.
-        """
+        """Note the loss of x (d,), which was told; left: renders of the budget."""
         state = self._optimizer.state
         self._told, self._since, self._last_told = self._told + 1, self._since + 1, x
         self._every = int(min(_EVERY, max(3.0, left / (1 - min(spent, 0.9)) / _SOONER)))
@@ -309,70 +304,47 @@ _ARRAYS = ("_halves", "_spreads", "_losses")
 
 _CHEAPER = 0.7  # of the time of the next size: a smaller one that takes more is left out
 _OWN = 0.001  # seconds that the optimizer takes for a candidate
-_TO_LEARN = 100_000  # renders
 
 
-class Planner:
-    """Measures renders and makes the plan of a fit of so many seconds.
+def planned(
+    schedule: Schedule, optimizer: FIDE, workers: Workers, timeout: float | None, seconds: float
+) -> list[str]:
+    """Leave out sizes that save no time; lines of the plan of a fit of so many seconds.
 
-    lines: of the plan, three; none before it is made.
+    Each size is rendered where the search begins, which counts as cost; where a render fails
+    nothing is known.  workers: without a schedule.
     """
+    x, took = optimizer.state.search.mean, dict[int, float]()
+    for k in (0, *range(len(schedule.sizes))):  # the first loads what the renderer needs
+        point: Any = [(x, schedule.keywords(k, schedule.samples, seed=k))]
+        for outcome in gathered(workers, point, timeout):
+            schedule.pay(k, schedule.samples)
+            if isinstance(outcome, Rendered):
+                took[k] = outcome.seconds
+    if len(took) < len(schedule.sizes):
+        return []
+    kept = [len(schedule.sizes) - 1]
+    for k in reversed(range(kept[0])):
+        if took[k] <= _CHEAPER * took[kept[0]]:
+            kept.insert(0, k)
+    sizes = [_pixels(schedule.sizes[k]) + f" ({duration(took[k])})" for k in kept]
+    out = [_pixels(schedule.sizes[k]) for k in took if k not in kept]
+    first = f"pictures of {', '.join(sizes)} pixels"
+    if out:
+        first += f"; not {', '.join(out)}, which save no time"
+    schedule.keep(kept)
+    return [first, _pace(took[kept[0]], took[kept[-1]], seconds, max(1, workers.number))]
 
-    def __init__(self, seconds: float, number: int) -> None:
-        self.lines: list[str] = []
-        self._seconds, self._workers = seconds, max(1, number)
 
-    def measure(
-        self, optimizer: FIDE, schedule: Schedule, workers: Workers, timeout: float | None
-    ) -> None:
-        """Render where the search begins at each size, and leave out those that save no time.
-
-        workers: without a schedule.  Each render counts as cost; where one fails nothing is known.
-        """
-        x = optimizer.state.search.mean
-        asked = [0, *range(len(schedule.sizes))]  # the first loads what the renderer needs
-        took: dict[int, float] = {}
-        for k in asked:
-            point: Any = [(x, schedule.keywords(k, schedule.samples, seed=k))]
-            for outcome in gathered(workers, point, timeout):
-                schedule.pay(k, schedule.samples)
-                if isinstance(outcome, Rendered):
-                    took[k] = outcome.seconds
-        if len(took) < len(schedule.sizes):
-            return
-        kept = [len(schedule.sizes) - 1]
-        for k in reversed(range(len(schedule.sizes) - 1)):
-            if took[k] <= _CHEAPER * took[kept[0]]:
-                kept.insert(0, k)
-        sizes = [_pixels(schedule.sizes[k]) + f" ({duration(took[k])})" for k in kept]
-        out = [_pixels(schedule.sizes[k]) for k in took if k not in kept]
-        first = f"pictures of {', '.join(sizes)} pixels"
-        if out:
-            first += f"; not {', '.join(out)}, which save no time"
-        schedule.keep(kept)
-        self._make(first, took[kept[0]], took[kept[-1]])
-
-    def show(self, wanted: bool) -> None:
-        """Print the plan to standard error, where that is wanted."""
-        if wanted and sys.stderr is not None:
-            lines = [f"plan: {line}\n" for line in self.lines]
-            print(
-                "\r\x1b[K" if sys.stderr.isatty() else "", *lines, sep="", end="", file=sys.stderr
-            )
-
-    def _make(self, first: str, least: float, most: float) -> None:
-        coarse, fine = (self._workers / (one + _OWN * self._workers) for one in (least, most))
-        share = SHARE if least < most else 0.0
-        renders = self._seconds * (share * coarse + (1 - share) * fine)
-        second = (
-            f"about {renders:,.0f} renders in {duration(self._seconds)}, {self._workers} at a time"
-        )
-        if share:
-            second += f"; of full size after {duration(share * self._seconds)} at the latest"
-        learning = _TO_LEARN * least / self._workers
-        pictures = math.ceil(learning / self._seconds) + 1
-        third = f"to learn the renderer first takes about {duration(learning)}: for {pictures}"
-        self.lines = [first, second, f"{third} pictures of it or more"]
+def _pace(least: float, most: float, seconds: float, number: int) -> str:
+    """How many renders fit in, whose smallest and largest take so many seconds."""
+    coarse, fine = (number / (one + _OWN * number) for one in (least, most))
+    share = SHARE if least < most else 0.0
+    renders = seconds * (share * coarse + (1 - share) * fine)
+    second = f"about {renders:,.0f} renders in {duration(seconds)}, {number} at a time"
+    if share:
+        second += f"; of full size after {duration(share * seconds)} at the latest"
+    return second
 
 
 def _pixels(size: tuple[int, int]) -> str:

@@ -59,9 +59,7 @@ class Stopping:
     ) -> str | None:
         """Name of the rule that says that it is over; None: none of them.
 
-        losses: of all evaluations; best: the lowest one.
-        improved: whether the last evaluation was the best so far.
-
+        losses: of all evaluations; improved: whether the last one was the best so far.
         `until` is looked at after each improvement, and after each generation.
         """
         found = self._reached(losses, seconds, best, improved, optimizer)

@@ -204,23 +204,17 @@ _DEFAULT_MOST = 8  # workers by default: more need more renders for the same los
 
 
 def default_number(executor: object = None) -> int:
-    """How many renders run at a time where the user does not say: one a usable core, at most 8.
-
-    An executor renders elsewhere, and threads are for renders that wait: 8 of these.
-    """
+    """Renders at a time by default: one a usable core, at most 8; elsewhere, or in threads, 8."""
     return min(cores(), _DEFAULT_MOST) if executor in (None, "processes") else _DEFAULT_MOST
 
 
 def workers_for(
     renderer: _Renderer, number: int, executor: object, timeout: float | None
 ) -> Workers:
-    """Workers for a renderer; nothing is started yet.
+    """Workers for a renderer, of a point x (d,) or of what is submitted; nothing is started yet.
 
-    renderer: an outcome for a point x (d,), or for whatever is submitted.
-    number: of renders at a time; 0: in this process.
-    executor: None or "processes", "threads", an executor of `concurrent.futures`, or what has a
-        method `get_executor`, as Dask's Client.
-    timeout: of a render, which this process does not have.
+    number: of renders at a time; 0: in this process.  timeout: of a render.
+    executor: None or "processes", "threads", one of `concurrent.futures`, or Dask's Client.
     """
     if number == 0:
         if executor is not None:
@@ -255,10 +249,7 @@ def workers_for(
 
 
 def gathered(pool: Workers, X: Float64, limit: float | None) -> Iterator[Outcome]:
-    """Outcome of each point of X (n, dim), in order; `pool.number` renders at a time.
-
-    limit: seconds that a render may take, the start of its worker not counted; None: any time.
-    """
+    """Outcome of each point of X (n, dim), in order; limit: seconds of a render, None: any."""
     for first in range(0, len(X), pool.number):
         tasks = [pool.submit(x) for x in X[first : first + pool.number]]
         for task in tasks:

@@ -29,11 +29,7 @@ Change: TypeAlias = Callable[..., Tensor]
 
 
 def augmented(images: Tensor, generator: torch.Generator, augment: str = "photograph") -> Tensor:
-    """Images (B, 3, H, W) in [0, 1] with small changes; same generator, same changes.
-
-    generator: of the images' device.
-    augment: one of `AUGMENT`.
-    """
+    """Images (B, 3, H, W) in [0, 1] with small changes, as one of `AUGMENT`, by the generator."""
     images = images.clone()
     for change, share in _CHANGES[augment]:
         change_some(images, change, share, generator)

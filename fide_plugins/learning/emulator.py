@@ -97,10 +97,7 @@ class Emulator(Trainable):
         self.variance.copy_(variance)
 
     def errors(self, images: Tensor, u: Tensor, places: Tensor) -> Tensor:
-        """Mean squared errors (B,) of the colors at places (P,).
-
-        images: (B, 3, H, W), or (1, 3, H, W) that each of the points u (B, d) should give.
-        """
+        """Mean squared errors (B,) of the colors at places (P,); images: (B or 1, 3, H, W)."""
         errors: Tensor = (self(u, places) - _colors(images, places)).square().mean(dim=(1, 2))
         return errors
 
@@ -190,9 +187,7 @@ _STAGES = (_Stage(32, 128, 150, 0.2, 0.03), _Stage(8, 512, 150, 0.03, 3e-4))
 
 
 def inverted(emulator: Emulator, image: Tensor, u: Tensor, generator: torch.Generator) -> Tensor:
-    """Points (at most 8, d) of the unit cube whose emulated images are nearest to an image.
-
-    The best one is first.
+    """Points (at most 8, d) of the unit cube whose emulated images are nearest first.
 
     image: (1, 3, H, W) in [0, 1].  u: (n, d) in [0, 1], where descents begin, the best 32 of them.
     generator: of the places; same generator, same points.

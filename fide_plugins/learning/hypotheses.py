@@ -22,10 +22,7 @@ _DESCENTS = 16  # from hypotheses that were drawn, and as many from anywhere
 
 
 def as_model(learned: Any) -> Model | None:
-    """Return the model that `learned` is, or that its file has; None for None.
-
-    Raises OSError or CheckpointError for a file that is no model, OptionError for anything else.
-    """
+    """The model that `learned` is, or that its file has; OSError, CheckpointError, OptionError."""
     if learned is None:
         return None
     from fide_plugins.learning.model import Model  # takes a second: PyTorch's networks
@@ -87,9 +84,7 @@ def with_model(
 ) -> dict[str, Any]:
     """Options of a search of images by `render`, with a model in place of its file.
 
-    resumed: whether the search goes on from a saved state, which has its hypotheses: the model is
-        checked, and left out; a warning where its file is gone.
-
+    resumed: whether a saved state has its hypotheses: the model is checked, and left out.
     Warns if the model is of another renderer; raises OptionError where they state different
     versions, OSError or CheckpointError for a file that is no model.
     """

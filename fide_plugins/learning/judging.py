@@ -84,10 +84,7 @@ def fitted_scale(network: Network, x: Float64, images: Pixels, seed: int = 0) ->
 
 @torch.no_grad()
 def in_region(network: Network, image: Tensor, drawn: Tensor, u: Tensor) -> bool:
-    """Whether u (d,) is in the region of highest density that holds 90 % of what is drawn (n, d).
-
-    image: (1, 3, H, W).
-    """
+    """Whether u (d,) is in the region of highest density that holds 90 % of the drawn (n, d)."""
     density = network.log_prob(image, torch.cat([u[None], drawn]))
     less = int((density[1:] <= density[0]).sum())  # none of a density that is not a number
     return less > (1 - COVERAGE) * len(drawn)

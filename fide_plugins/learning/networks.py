@@ -71,8 +71,7 @@ _LARGE = 48  # pixels from which the first convolution has a stride of 4
 class Encoder(nn.Module):
     """Images (B, 3, H, W) in [0, 1] -> map (B, places, channels) and vector (B, width).
 
-    size: height and width of the images, which are standardized: what a parameter changes may be a
-    small part of an image.  width: of the vector.
+    Images are standardized: what a parameter changes may be a small part of one.
     """
 
     mean: Tensor
@@ -168,10 +167,7 @@ class Components:
 
     @classmethod
     def of(cls, raw: Tensor, periodic: Tensor, scale: float = 1.0) -> Components:
-        """Components of a network's numbers (..., d, K, 4), standard deviations times `scale`.
-
-        periodic: (d,) bool.
-        """
+        """Components of a network's numbers (..., d, K, 4), deviations times `scale`."""
         weight, first, second, spread = raw.unbind(-1)
         wraps = periodic[:, None]
         angle = torch.atan2(second, first + 1e-6) / (2 * math.pi)
@@ -257,8 +253,6 @@ class Autoregressive(nn.Module):
     """prod_i p(u_i | u_1 ... u_(i-1)), each a mixture of K Gaussians.
 
     RNADE, Uria, Murray and Larochelle 2013, arXiv:1306.0186.
-
-    width: of the features.  periodic: (d,) bool.  components: K.  hidden: units of each parameter.
     """
 
     periodic: Tensor
@@ -292,10 +286,7 @@ class Autoregressive(nn.Module):
         return self._components(raw, self.periodic, scale)
 
     def _of_one(self, i: int, context: Tensor, waves: Tensor, scale: float) -> Components:
-        """Components (n, 1, K) of u_i alone, as `_of` has them but for rounding.
-
-        context: (d, hidden), of one picture.  waves: (n, i * 9), of the parameters before i.
-        """
+        """Components (n, 1, K) of u_i; context: (d, hidden); waves: (n, i * 9)."""
         h = F.gelu(context[i] + waves @ self._earlier()[:i, :, i].flatten(0, 1))
         h = F.gelu(self.second_bias[i] + h @ self.second[i]) + h
         raw = self.out_bias[i] + h @ self.out[i]
@@ -348,12 +339,9 @@ _SET_WIDTH, _SET_HEADS, _SET_LAYERS = 96, 4, 3
 
 
 class Blocks(nn.Module):
-    """Queries for the exchangeable blocks; all other axes by an `Autoregressive` head.
+    """Queries for the exchangeable blocks (n, L), a set (Carion et al. 2020, arXiv:2005.12872).
 
-    The blocks are a set (Carion et al. 2020, arXiv:2005.12872).
-
-    encoder: of the map.  width: of its vector.
-    periodic: (d,) bool.  blocks: (n, L), axes of each block.
+    All other axes are learned by an `Autoregressive` head.
     """
 
     periodic: Tensor
@@ -474,11 +462,8 @@ Blocking = Sequence[Sequence[int]]
 class Network(Trainable):
     """Density of the parameters given an image.
 
-    size: height and width of the images.
-    periodic: (d,), axes that wrap around.
-    blocks: exchangeable blocks of axes, which are learned as a set.
-    seed: of the initial weights.
-    scale: of the standard deviations of the density, see `judging`; no weight.
+    size: (H, W).  periodic: (d,), axes that wrap around.  blocks: exchangeable ones, a set.
+    seed: of the initial weights.  scale: of the standard deviations, see `judging`; no weight.
     """
 
     def __init__(

@@ -57,14 +57,9 @@ def blocks_of(renderer: BatchRenderer, groups: Sequence[Sequence[int]] | None) -
     if hasattr(groups, "__len__") and len(groups) == 0:
         return []
     blocks: list[list[int]] = check_groups(groups, renderer.dim).tolist()
-    for same in zip(*blocks, strict=True):
-        around = [axis for axis in same if renderer.periodic[axis]]
-        straight = [axis for axis in same if not renderer.periodic[axis]]
-        if around and straight:
-            raise OptionError(
-                f"groups must be alike: parameter {around[0]} is periodic, and {straight[0]}, "
-                "which has its place in another group, is not"
-            )
+    wraps = np.array(renderer.periodic)[np.array(blocks, np.intp)]
+    if (wraps != wraps[0]).any():
+        raise OptionError("groups must be alike: parameters in one place are periodic, or none is")
     return blocks
 
 

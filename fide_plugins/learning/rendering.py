@@ -32,10 +32,7 @@ def all_equal(name: str, renders: int) -> RenderError:
 
 
 def too_few(there: int, least: int, failed: int, renders: int) -> FideError:
-    """Error that names what is missing: renders that succeed, renders at all, or time for them.
-
-    there: renders, of which `least` are needed.  failed: other ones.  renders: asked for.
-    """
+    """Error that names what is missing: renders that succeed, renders at all, or time."""
     few = f"{there} renders are too few to learn from (at least {least})"
     if failed == 0:
         return OptionError(f"{few}; allow more time")
@@ -59,9 +56,7 @@ class _Shards:
 
 
 def pool_for(renderer: BatchRenderer, size: tuple[int, int], workers: int) -> Workers:
-    """Where renders of this size (height, width) are made; nothing is started yet.
-
-    workers: processes; 0 and 1: this one.
+    """Where renders of this size (height, width) are made; workers: 0 and 1: this process.
 
     Raises OptionError for a renderer that cannot be sent there, and in a daemonic process.
     """
@@ -88,12 +83,9 @@ def fill(
     seconds: float | None = None,
     on_progress: Callable[[int], None] = lambda done: None,
 ) -> None:
-    """Render what is missing of `renders`.
+    """Render what is missing of `renders`; no shard is begun after so many seconds.
 
-    workers: see `pool_for`.  A render that ends its worker is one that failed.
-    seconds: no shard is begun after this time; None: no limit.
     on_progress: called with the number of renders done so far.
-
     Raises RenderError if workers die again and again, or if the first 500 renders of this call, or
     more, mostly fail or are all equal.  What was rendered before stays, but for shards that such a
     renderer has spoiled: the next call renders them again.

@@ -339,10 +339,7 @@ class RenderStore:
         return {i: number for i, number in found.items() if number}
 
     def read(self, renders: int) -> tuple[Float64, Pixels]:
-        """Parameters (n, d) and images (n, H, W, 3) of the shards that are there.
-
-        Raises CheckpointError for a shard that is damaged.
-        """
+        """Parameters (n, d) and images (n, H, W, 3) that are there; CheckpointError for damage."""
         shards = self._present(renders)
         x = np.empty((SHARD * len(shards), self.settings["dim"]))
         images = np.empty((len(x), *self.shape), np.uint8)
@@ -375,9 +372,7 @@ class RenderStore:
 
 @contextmanager
 def folder_of(out: str | os.PathLike[str] | None) -> Iterator[Path]:
-    """Folder of the renders that a model is learned from, locked: beside its file `out`.
-
-    It is a temporary one, which is removed, where nothing is kept (None).
+    """Folder of the renders that a model is learned from, locked: beside its file; None: temporary.
 
     Raises OSError where the file cannot be written, OptionError where another call has the folder.
     """

@@ -102,10 +102,7 @@ class Training:
         on_pass: OnPass = lambda passed, loss: None,
         save: Callable[[dict[str, Any]], None] = lambda state: None,
     ) -> None:
-        """Train until the passes or the seconds are over, or nothing improves.
-
-        save: called with `state_dict()` after every pass.
-        """
+        """Train until passes or seconds are over, or nothing improves; save: after each pass."""
         n = len(self._train)
         while not self.over:
             start = time.monotonic()
@@ -132,10 +129,7 @@ class Training:
         return self.seconds is not None and self.spent + more >= self.seconds
 
     def _pass(self, start: float) -> tuple[float, int]:
-        """See every training render once; returns the mean loss, and how many were seen.
-
-        They are fewer than all if the time is up: the rate is zero from then on.
-        """
+        """See every training render once, or until the time is up; mean loss, and how many."""
         rng = np.random.default_rng((self.seed, 2, self.passed))
         drawn = int(rng.integers(2**62))
         generator = torch.Generator(self.network.device).manual_seed(drawn)
@@ -204,8 +198,6 @@ class Training:
 
     def run_from(self, file: Path, plan: Mapping[str, Any], on_pass: OnPass) -> None:
         """As `run`, from the checkpoint in `file` if it is of this plan; it is kept up to date.
-
-        A training that was over stays so.
 
         Raises CheckpointError for a damaged file, OSError if it cannot be written.
         """

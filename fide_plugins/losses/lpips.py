@@ -42,7 +42,7 @@ _HEADS = Published(
 )
 _HOW = (
     "; losses.make('lpips', target, download=True) fetches both of its files once, the network's "
-    f"from {backbones.ALEXNET.published.url}, losses.make(..., weights=PATH, heads=PATH) reads "
+    f"from {backbones.ALEXNET.url}, losses.make(..., weights=PATH, heads=PATH) reads "
     "files of yours, and the loss 'perceptual' needs none"
 )
 

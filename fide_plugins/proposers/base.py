@@ -50,5 +50,5 @@ class Proposer(ABC):
         """Everything that `update` changes."""
 
     @abstractmethod
-    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
+    def load_state_dict(self, state: Plain, sides: Sides | None = None) -> None:
         """Put back what `state_dict` gave; ValueError if it is none.  sides: T and C, if known."""

@@ -15,15 +15,16 @@ import torch
 from torch import Tensor
 
 from fide_plugins.denoiser.network import ParameterTransformer, full_precision
-from fide_plugins.denoiser.sampling import euler, x_prediction
 from fide_plugins.denoiser.training import (
     Objective,
     Preconditioner,
-    XLoss,
     adam_state,
     all_finite,
+    euler,
     fit,
     load_adam_state,
+    x_loss,
+    x_prediction,
 )
 from fide_plugins.errors import OptionError
 from fide_plugins.options import Options
@@ -43,7 +44,7 @@ from fide_plugins.runtime.schema import (
 )
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.types import Float64
-from fide_plugins.validation.options import check_schedule
+from fide_plugins.validation.options import schedule as checked_schedule
 
 _DEFAULTS = Options()
 MOST_PROPOSALS = 4096  # that are denoised together
@@ -59,7 +60,7 @@ class DiffusionProposer(Proposer):
     device : of the network; initial weights are the same on all.
     epochs, learning_rate, schedule : supplement S1.
     batch_size : the paper names none; 50 makes 200 steps of Adam a generation of k = 500.
-    objective, precondition : the parts of `denoiser.training` and `denoiser.sampling`.
+    objective, precondition : see `denoiser.training`.
     **network : sizes of the `ParameterTransformer`.
 
     Raises
@@ -88,8 +89,8 @@ class DiffusionProposer(Proposer):
             raise OptionError(f"a learning rate is positive and finite, got {learning_rate=}")
         self.dim, self.device = dim, resolve_device(device)
         self.epochs, self.learning_rate = epochs, learning_rate
-        self.schedule = check_schedule(schedule)
-        self.objective: Objective = objective or XLoss()
+        self.schedule = checked_schedule("schedule", schedule)
+        self.objective: Objective = objective or x_loss
         self.precondition = precondition
         self.updates = 0
         self._batch_size = batch_size

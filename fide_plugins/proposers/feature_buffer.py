@@ -7,7 +7,7 @@ G (n, n) = (e - o) (e - o)^T, over tokens and channels.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -138,7 +138,7 @@ class FeatureBuffer(Stateful):
         features[:, self.used[used]] = before[:, used[self.used]]
         self.features, self.used = features.reshape(n, features.shape[1] * channels), used
 
-    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
+    def load_state_dict(self, state: Plain, sides: Sides | None = None) -> None:
         """Put back what `state_dict` gave; ValueError if it is none.
 
         sides: n, and T, the number of tokens, if that is known.

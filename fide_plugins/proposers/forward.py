@@ -6,9 +6,9 @@ minus those of b, and e* (f,) those of the target: the residual.  J (d, f): e ~ 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -17,14 +17,15 @@ from torch import Tensor
 from fide_plugins.population import BY_INDEX, TrainingSample, columns
 from fide_plugins.proposers.feature_buffer import FeatureBuffer, for_jacobian
 from fide_plugins.runtime.schema import (
+    Plain,
     Schema,
     Sides,
+    Stateful,
     anything,
     array,
-    check,
     each,
     flag,
-    form,
+    instance,
     whole,
 )
 from fide_plugins.types import Float64, Indices
@@ -98,14 +99,6 @@ def _solve(weighted: Float64, u: Float64, penalty: float) -> Float64:
     return np.asarray(np.linalg.solve(normal + p * np.eye(len(normal)), weighted.T), np.float64)
 
 
-_SCHEMA: Schema = {
-    "x": array("n", "d"),
-    "losses": array("n"),
-    "buffer": anything,
-    "new": each(form(TrainingSample)),
-    "due": flag,
-    "left": whole(),
-}
 _SMALLEST_PENALTY = 1e-100  # whose square can be divided by
 _LEAST_KEPT = 0.01
 _FAR = 6.0  # standard deviations between a sample and the best candidate
@@ -114,7 +107,7 @@ _MOST = 3  # generations' worth of steps between two of them, where all of the r
 
 
 @dataclass(eq=False)
-class GaussNewtonSteps:
+class GaussNewtonSteps(Stateful):
     """Gauss-Newton steps from the best candidate, with a Jacobian fitted to evaluated candidates.
 
     x_new = x_b + std * (J J^T + lambda)^-1 (J e* + g lambda (z - x_b) / std)
@@ -145,6 +138,14 @@ class GaussNewtonSteps:
     least_promise : see above.
     """
 
+    SCHEMA: ClassVar[dict[str, Schema]] = {
+        "x": array("n", "d"),
+        "losses": array("n"),
+        "buffer": anything,
+        "new": each(instance(TrainingSample)),
+        "due": flag,
+        "remaining": whole(),
+    }
     dim: int
     capacity: int | None = None
     channels: int | None = None
@@ -297,28 +298,10 @@ class GaussNewtonSteps:
         slope: Float64 = jacobian.vectors.T @ (jacobian.Q @ (products - products[b]))
         return scale, jacobian, slope
 
-    # -- saving ------------------------------------------------------------------------------------
-
-    def state_dict(self) -> dict[str, Any]:
-        """Everything that changes."""
-        return {
-            "x": self.x,
-            "losses": self._losses,
-            "buffer": self._buffer.state_dict(),
-            "new": [sample.state_dict() for sample in self._new],
-            "due": self.due,
-            "left": self.remaining,
-        }
-
-    def load_state_dict(self, state: Mapping[str, Any], sides: Sides, device: Any) -> None:
-        """Put back what `state_dict` gave, tokens on the device; ValueError if it is none."""
-        own = {**sides, "d": self.dim}
-        check(state, _SCHEMA, own, "steps")
+    def load_state_dict(self, state: Plain, sides: Sides | None = None) -> None:
+        """Put back what `state_dict` gave; ValueError if it is none.  sides: T, C, device."""
         self._fit = None
-        self.x, self._losses = state["x"], state["losses"]
-        self._buffer.load_state_dict(state["buffer"], own)
-        self._new = [TrainingSample.from_state(sample, device) for sample in state["new"]]
-        self.due, self.remaining = state["due"], state["left"]
+        super().load_state_dict(state, {**(sides or {}), "d": self.dim})
 
 
 def _decrease(jacobian: Jacobian, slope: Float64, steps: Float64) -> Float64:

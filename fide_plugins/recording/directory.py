@@ -7,7 +7,7 @@ import io
 import json
 import os
 import shlex
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from fide_plugins.errors import CheckpointError, DependencyError
-from fide_plugins.recording.record import Record, RunResult, best_so_far
+from fide_plugins.recording.record import Record, best_so_far
 from fide_plugins.recording.storage import (
     CHECKPOINT,
     FORMAT,
@@ -31,13 +31,11 @@ from fide_plugins.recording.storage import (
     read_run,
     write_checkpoint,
 )
-from fide_plugins.runtime import files, machine
+from fide_plugins.runtime import files, laboratory, machine
 from fide_plugins.runtime.messages import warn_user
-from fide_plugins.runtime.registry import changed, kind_of, of_file
-from fide_plugins.saving import Saved
+from fide_plugins.runtime.registry import changed, kind_of
 
 if TYPE_CHECKING:
-    from fide_plugins.losses.base import ImageLoss
     from fide_plugins.types import Float32, Optimizer
 
 T = TypeVar("T")
@@ -48,15 +46,14 @@ _WRITTEN = (
     *_RESULTS, TARGET_FILE, "run.json", "target.png", "target.tif",
     "optimizer-*.ckpt", "probe",  # `check_writable`
 )  # fmt: skip
-_LOCK = ".run.lock"  # not that of a comparison, which holds its own meanwhile
+LOCK = ".run.lock"  # not that of a comparison, which holds its own meanwhile
 _INTERVAL = 20  # least time between two checkpoints, in times of writing one
 
 
 class CheckpointTimer:
     """Says when the next checkpoint is due; it counts from when it is made.
 
-    every: seconds between checkpoints, at least twenty times the time to write one; 0: a checkpoint
-        is always due.
+    every: seconds, at least twenty times the time to write one; 0: one is always due.
     """
 
     def __init__(self, every: float) -> None:
@@ -85,10 +82,7 @@ def note_unsaved(error: BaseException, unsaved: Exception) -> None:
 
 
 def try_each(*writes: Callable[[], object]) -> None:
-    """Call all of them, also after one that fails; then raise the first error of them.
-
-    A disk that has no room for a checkpoint has some for a table.
-    """
+    """Call all of them, also after one that fails (a full disk); then raise the first error."""
     first: Exception | None = None
     for write in writes:
         try:
@@ -103,17 +97,14 @@ def try_each(*writes: Callable[[], object]) -> None:
 
 
 class RunDirectory:
-    """Directory of one run; made and checked before anything is rendered.
-
-    It is locked until `close`, or until the process ends.  Who only reads takes no lock.
+    """Directory of one run, locked until `close`; made and checked before anything is rendered.
 
     settings: that define the run; a folder with other ones is refused, but for `may_change`.
-    resume: whether an existing run may be continued.
     limits: when the run stops, where that is no setting.
     sources: fingerprints of the user's files, see `of_files`; warns of one that is edited.
 
-    Raises RunDirectoryError (a FileExistsError), also if there are results without a `run.json`,
-    see `results_in`, or OSError if the folder cannot be written.
+    Raises RunDirectoryError (a FileExistsError), also if there are results without a `run.json`, or
+    OSError if the folder cannot be written.
     """
 
     def __init__(
@@ -154,14 +145,18 @@ class RunDirectory:
             files.remove_leftovers(self.path, mine=is_of_a_run)  # not what others write there
             self._lock = lock.pop_all()
 
+    @property
+    def budget(self) -> int | None:
+        """Renders after which it stops, where that is no setting."""
+        budget: int | None = self._run["limits"].get("budget")
+        return budget
+
     def close(self) -> None:
         """Let other processes work on the run; nothing is to be written after this."""
         self._lock.close()
 
     def restore(self, load: Callable[[Path], T]) -> tuple[Record, T] | None:
-        """Record and optimizer of the saved run; None without one.
-
-        load: makes the optimizer of its file.
+        """Record and optimizer, made by `load`, of the saved run; None without one.
 
         Raises CheckpointError where the state of results is missing.
         """
@@ -223,47 +218,34 @@ class RunDirectory:
     def write_tables(
         self, record: Record, best: Float32 | None, values: Float32 | None = None
     ) -> None:
-        """Write the tables and the best image, as a picture; they need no consistent state.
-
-        values: of this image, where they are not in [0, 1].
-        """
+        """Write the tables and the best image, with its values where they are not in [0, 1]."""
         try_each(
             lambda: files.write_text(self.path / "curve.csv", curve_table(record)),
             lambda: files.write_text(self.path / "improvements.csv", improvements_table(record)),
-            lambda: self._write_image("best", best, values),
+            lambda: self.write_image("best", best, values),
         )
 
     def write_target(self, image: Float32, values: Float32 | None = None) -> None:
         """Write `target.png`, and `target.tif` of its values where these are others, once."""
         if not (self.path / "target.png").exists():
-            self._write_image("target", image, values)
+            self.write_image("target", image, values)
 
-    def write_reference(self, result: RunResult) -> None:
-        """Write `reference.png` if it differs from the best image of the run."""
-        if result.noisy:
-            self._write_image("reference", result.reference)
+    def write_image(self, name: str, image: Float32 | None, values: Float32 | None = None) -> None:
+        """Write a picture, and its values where they are not in [0, 1]."""
+        from fide_plugins.validation.image_files import encoded
 
-    def _write_image(self, name: str, image: Float32 | None, values: Float32 | None = None) -> None:
-        if values is not None:
-            from fide_plugins.validation.image_files import encoded
+        for kind, pixels in ((".tif", values), (".png", image)):
+            if pixels is not None:
+                files.write_bytes(self.path / f"{name}{kind}", encoded(pixels, kind))
 
-            files.write_bytes(self.path / f"{name}.tif", encoded(values, ".tif"))
-        if image is not None:
-            from fide_plugins.recording.figures import as_png
-
-            files.write_bytes(self.path / f"{name}.png", as_png(image))
-
-    def write_summary(
-        self, result: RunResult, target: Float32, counts: Float32 | None = None
-    ) -> None:
-        """Write `summary.png`; counts: (H, W), where it is 0 no pixel counts.
+    def write_summary(self, record: Record, *pictures: Float32 | None, **more: Any) -> None:
+        """Write `summary.png`; pictures, more: as for `fide_lab.figures.summary`.
 
         Without matplotlib, which is an extra, a warning says so: the run is worth more.
         """
         try:
-            from fide_plugins.recording.figures import summary
-
-            picture = summary(result, target, counts)
+            figures = laboratory.module("figures")
+            picture = figures.summary(self.settings, record, *pictures, **more)
         except DependencyError as error:
             warn_user(f"summary.png is left out: {error}")
         else:
@@ -272,11 +254,10 @@ class RunDirectory:
     def write_run(
         self,
         state: str = "running",
-        result: RunResult | None = None,
+        totals: Mapping[str, Any] | None = None,
         stopped: str | None = None,
-        more: Mapping[str, Any] | None = None,
     ) -> None:
-        """Write `run.json`; stopped: the rule by which the run has ended; more: further totals."""
+        """Write `run.json`; stopped: the rule by which the run has ended."""
         self._run |= {
             "state": state,
             "saved": is_saved(self.path),  # so that one which is removed is missed
@@ -288,8 +269,8 @@ class RunDirectory:
         self._run.pop("stopped", None)
         if stopped is not None:
             self._run["stopped"] = stopped
-        if result is not None:
-            self._run["totals"] = {**result.summary(), **result.details(), **(more or {})}
+        if totals is not None:
+            self._run["totals"] = dict(totals)
         if state == "finished":
             self._run["checksums"] = {name: checksum(self.path / name) for name in TABLES}
         files.write_text(self.path / "run.json", json.dumps(self._run, indent=2) + "\n")
@@ -297,7 +278,7 @@ class RunDirectory:
 
 def _lock(path: Path) -> ExitStack:
     with ExitStack() as lock:
-        if not lock.enter_context(files.locked(path / _LOCK)):
+        if not lock.enter_context(files.locked(path / LOCK)):
             raise RunDirectoryError(
                 f"the run in {path} is under way, in another process or in this one; wait until it "
                 "ends or stop it, and resume then, or name another directory"
@@ -313,11 +294,6 @@ def is_of_a_run(name: str) -> bool:
 def results_in(path: Path) -> list[str]:
     """Names of files in the folder `path` that a run writes again: tables, pictures, state."""
     return [name for name in _RESULTS if (path / name).exists()]
-
-
-def is_under_way(path: Path) -> bool | None:
-    """Whether a process works on the run in the folder `path`; None where no lock tells."""
-    return files.is_locked(path / _LOCK)
 
 
 def curve_table(record: Record) -> str:
@@ -342,44 +318,14 @@ def improvements_table(record: Record) -> str:
 
 # What a run depends on by name: `run.json` has each version, so that another one is noticed.
 
-_HYPOTHESES = "learned="  # option that names the file of a learned model
-_ENCODER, _WEIGHTS = "encoder=", "weights"  # reference, and kind of the fingerprint
-_LOSS, _VERSION = "loss=", "version"
-
 
 def of_files(fingerprints: Mapping[str, str | None]) -> dict[str, str]:
     """Those fingerprints, by reference, that are of a file."""
     return {k: one for k, one in fingerprints.items() if one is not None and kind_of(one) == "file"}
 
 
-def of_models(*options: Mapping[str, Any]) -> dict[str, str]:
-    """Fingerprints of the files of learned models that options of optimizers name, by reference."""
-    models = [one.get("learned") for one in options]
-    files = sorted({os.fspath(one) for one in models if isinstance(one, str | os.PathLike)})
-    return of_files({f"{_HYPOTHESES}{file}": of_file(file) for file in files})
-
-
-def of_weights(optimizer: object) -> dict[str, str]:
-    """Fingerprint of the pretrained weights that an optimizer's encoder has, by reference."""
-    known = optimizer.pretrained if isinstance(optimizer, Saved) else None
-    return {} if known is None else {f"{_ENCODER}{known[0]}": f"{_WEIGHTS}:{known[1]}"}
-
-
-def of_losses(losses: Iterable[ImageLoss]) -> dict[str, str]:
-    """Version of each loss that has one, by reference."""
-    known = {one.name: one.version for one in losses if one.version is not None}
-    return {f"{_LOSS}{name}": f"{_VERSION}:{version}" for name, version in known.items()}
-
-
 def file_of(reference: str) -> str:
-    """File or module of a reference, the network of an encoder, or a loss.
-
-    >>> file_of("mine.py:Search"), file_of("learned=model.fide"), file_of("encoder=vgg19:relu4_1")
-    ('mine.py', 'model.fide', 'the network of vgg19:relu4_1')
-    """
-    for prefix, what in ((_HYPOTHESES, ""), (_ENCODER, "the network of "), (_LOSS, "the loss ")):
-        if reference.startswith(prefix):
-            return what + reference.removeprefix(prefix)
+    """File or module of a reference such as "mine.py:Search"."""
     return reference.rpartition(":")[0] or reference
 
 
@@ -405,20 +351,11 @@ def edited(there: Mapping[str, list[str]], here: Mapping[str, str]) -> list[str]
 def versions_with(
     here: Mapping[str, str], before: Mapping[str, Any] | None, path: Path, *, begun: bool
 ) -> dict[str, list[str]]:
-    """Fingerprints to record when the run in the folder `path` is begun or resumed.
+    """Fingerprints of a run that is begun, or resumed; warns of one that has changed since.
 
-    before: contents of its `run.json`, if there is one; begun: whether it goes on from a saved
-        state, which is of the versions before.
-
-    Warns, once for each edit, of a file or a loss that has changed since; but not of a model,
-    weights or the loss of FIDE, whose state has or refuses them.
+    before: its `run.json`; begun: whether it goes on from a state of the versions before.
     """
     there = versions_there(before) if begun else {}
-    if begun and before is not None:
-        here = {name: now for name, now in here.items() if kind_of(now) != _WEIGHTS}
-        if before["settings"].get("optimizer") == "fide":
-            own = _LOSS + before["settings"].get("loss", "")
-            here = {k: v for k, v in here.items() if k != own and not k.startswith(_HYPOTHESES)}
     newest = {reference: versions[-1:] for reference, versions in there.items()}
     for reference in edited(newest, here):
         warn_user(

@@ -139,10 +139,7 @@ def solutions_as_data(solutions: Sequence[Solution]) -> list[dict[str, Any]]:
 
 
 def with_std(solutions: list[Solution], run: Mapping[str, Any]) -> list[Solution]:
-    """The same, the best one with the standard deviations that its fit has computed at the end.
-
-    run: contents of `run.json`; TypeError, ValueError for impossible ones.
-    """
+    """The same, the best one with the standard deviations that `run.json` of its fit has."""
     kept = (run.get("totals") or {}).get("solutions") or [{}]
     if not solutions or kept[0].get("x") != solutions[0].x.tolist():
         return solutions

@@ -1,4 +1,4 @@
-"""Progress, history and result of a run."""
+"""Progress and history of a run."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import time
 from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -19,14 +19,14 @@ from fide_plugins.runtime.schema import (
     array as numbers,
     check,
     each,
+    form,
     maybe,
     real,
     row,
+    saved,
     table,
     whole,
 )
-from fide_plugins.space import Space
-from fide_plugins.status import Status
 from fide_plugins.types import Float32, Float64, Optimizer, Solution
 
 PARTS = ("render", "encode", "train", "search")
@@ -36,7 +36,7 @@ SUMMARY = (
     *("task", "optimizer", "loss", "seed", "task_seed", "dim", "budget", "evaluations"),
     *("best_loss", "mse", "wall_s", "render_s", "overhead_s", "x_best"),
 )
-"""Keys of `RunResult.summary`, which are names of its attributes."""
+"""Keys of the totals that `fide fit --json` and `fide run --json` print."""
 
 
 @dataclass(frozen=True)
@@ -61,90 +61,18 @@ Report: TypeAlias = Callable[[Progress], object]
 """Function that shows the progress of a run; what it returns does not matter."""
 
 
-@dataclass(frozen=True, eq=False)
-class RunResult:
-    """Result and cost of a run; times in seconds, without interruptions.
-
-    seed, task_seed: of the optimizer and the target; None for a picture of the user's.
-    budget, evaluations: renders that were allowed, and done.
-    dim: number of coordinates; parameters: a choice of three values is one, and has three of them.
-    losses, seconds: (evaluations,), in the order of evaluation; seconds since the start.
-    best_loss: lowest loss, biased low for a noisy task; best_evaluation: its index, from 0.
-    reference_loss, mse, recommended_loss: see `Verdict`.
-    wall_s: without the noise-free evaluation after it and metrics.  times: by `PARTS`.
-    x_best, x_recommended: (dim,); image: (H, W, 3), render of x_best; reference: its noise-free
-        image; first_image: first render.  None where there is none.
-    improvements: (m,), indices of evaluations that were the best so far; metrics: other losses of
-        these by name, (m,); judged: other losses of the reference image.
-    status: what the optimizer knows of the run; params: of x_best; None where unknown.
-    """
-
-    task: str
-    optimizer: str
-    loss: str
-    seed: int
-    task_seed: int | None
-    dim: int
-    parameters: int
-    budget: int
-    evaluations: int
-    best_loss: float
-    best_evaluation: int
-    reference_loss: float
-    recommended_loss: float
-    mse: float
-    wall_s: float
-    times: dict[str, float]
-    x_best: Float64 | None
-    x_recommended: Float64 | None
-    image: Float32 | None
-    reference: Float32 | None
-    first_image: Float32 | None
-    losses: Float64
-    seconds: Float64
-    improvements: npt.NDArray[np.int64]
-    metrics: dict[str, Float64]
-    judged: dict[str, float]
-    status: Status | None = None
-    params: dict[str, Any] | None = None
-
-    @property
-    def render_s(self) -> float:
-        """Seconds spent rendering."""
-        return self.times["render"]
-
-    @property
-    def overhead_s(self) -> float:
-        """Seconds spent on anything but rendering."""
-        return self.wall_s - self.times["render"]
-
-    @property
-    def noisy(self) -> bool:
-        """Whether the reference image of the best candidate differs from its render."""
-        both = self.image is not None and self.reference is not None
-        return both and not np.array_equal(self.image, self.reference)  # type: ignore[arg-type]
-
-    def summary(self) -> dict[str, Any]:
-        """Totals for JSON; numbers that are not finite become None."""
-        return {key: getattr(self, key) for key in SUMMARY} | {
-            "best_loss": _finite(self.best_loss),
-            "mse": _finite(self.mse),
-            "x_best": None if self.x_best is None else self.x_best.tolist(),
-        }
-
-    def details(self) -> dict[str, Any]:
-        """Further totals for JSON: the noise-free evaluation, and times by part."""
-        recommended = self.x_recommended
-        return {
-            "reference_loss": _finite(self.reference_loss),
-            "recommended_loss": _finite(self.recommended_loss),
-            "x_recommended": None if recommended is None else recommended.tolist(),
-            "judged": {name: _finite(value) for name, value in self.judged.items()},
-            "best_evaluation": self.best_evaluation,
-            "times": self.times,
-            **({} if self.params is None else {"params": self.params}),
-            **({} if self.status is None else self.status.to_dict()),
-        }
+_IMAGE = maybe(numbers("H", "W", 3, low=0.0, high=1.0))
+_FINENESS: Schema = {
+    **dict.fromkeys(("k", "samples", "_count", "_since", "_told", "_best_at"), whole()),
+    **{name: numbers(name, low=None) for name in ("_halves", "_spreads", "_losses")},
+    "cost": real(),
+    "_best": real(high=math.inf),
+    "_typical": maybe(real()),
+    "_spread": maybe(numbers("d", low=0.0)),
+    "works": each(whole()),
+    "sizes": each(each(anything)),
+    "rising": maybe(row(numbers("d", low=0.0, high=1.0), numbers("d", low=0.0))),
+}
 
 
 @dataclass
@@ -159,21 +87,25 @@ class Record:
     fineness: state of a `fitting.schedule`; None where all renders are of one kind.
     """
 
-    losses: array[float] = field(default_factory=lambda: array("d"))
-    seconds: array[float] = field(default_factory=lambda: array("d"))
-    improvements: array[int] = field(default_factory=lambda: array("q"))
-    path: list[Float64] = field(default_factory=list)
-    metrics: dict[str, array[float]] = field(default_factory=dict)
-    times: dict[str, float] = field(default_factory=lambda: dict.fromkeys(PARTS, 0.0))
-    wall_s: float = 0.0
-    best_loss: float = math.inf
-    best_evaluation: int = -1
-    x_best: Float64 | None = None
-    image: Float32 | None = None
-    first_image: Float32 | None = None
-    pending: Float64 | None = None
-    failures: int = 0
-    fineness: dict[str, Any] | None = None
+    losses: array[float] = saved(numbers("e", low=None), default_factory=lambda: array("d"))
+    seconds: array[float] = saved(numbers("e", low=0.0), default_factory=lambda: array("d"))
+    improvements: array[int] = saved(
+        numbers("m", kind="i", low=0.0), default_factory=lambda: array("q")
+    )
+    path: list[Float64] = saved(numbers("k", "d", low=0.0, high=1.0), default_factory=list)
+    metrics: dict[str, array[float]] = saved(table(numbers("m", low=None)), default_factory=dict)
+    times: dict[str, float] = saved(
+        dict.fromkeys(PARTS, real()), default_factory=lambda: dict.fromkeys(PARTS, 0.0)
+    )
+    wall_s: float = saved(real(), default=0.0)
+    best_loss: float = saved(real(high=math.inf), default=math.inf)
+    best_evaluation: int = saved(whole(-1), default=-1)
+    x_best: Float64 | None = saved(maybe(numbers("d", low=0.0, high=1.0)), default=None)
+    image: Float32 | None = saved(_IMAGE, default=None)
+    first_image: Float32 | None = saved(_IMAGE, default=None)
+    pending: Float64 | None = saved(maybe(numbers("p", "d", low=0.0, high=1.0)), default=None)
+    failures: int = saved(whole(), default=0)
+    fineness: dict[str, Any] | None = saved(_FINENESS, default=None)
 
     @property
     def evaluations(self) -> int:
@@ -198,10 +130,7 @@ class Record:
         return [i for i, one in enumerate(told) if self.add_one(*one)]
 
     def add_one(self, x: Float64, image: Float32 | None, loss: float) -> bool:
-        """Add a candidate (dim,) with its image (H, W, 3); returns whether it is the best so far.
-
-        image: None where it is neither the first one nor the best.
-        """
+        """Add a candidate (dim,), with its image if it may be best; whether it is the best."""
         if self.first_image is None and image is not None:
             self.first_image = image.copy()
         improved = loss < self.best_loss and math.isfinite(loss)
@@ -215,10 +144,7 @@ class Record:
         return improved
 
     def keep_only(self, best: Solution) -> None:
-        """Replace the best candidate, after images began to be compared in another way.
-
-        All other losses are of the old comparison, and become infinite.
-        """
+        """Replace the best after images are compared in another way: other losses are lost."""
         self.best_loss, self.best_evaluation = best.loss, best.evaluation
         self.x_best, self.image = best.x.copy(), best.image
         self.losses = array("d", [math.inf]) * self.evaluations
@@ -270,102 +196,37 @@ def best_so_far(losses: npt.ArrayLike) -> Float64:
     return best
 
 
-def _finite(value: float) -> float | None:
+def finite(value: float) -> float | None:
+    """The value, as JSON has it: None for NaN and infinity."""
     return float(value) if math.isfinite(value) else None
 
 
-@dataclass(frozen=True, eq=False)
-class Verdict:
-    """Noise-free losses of the best candidate and of the recommended candidate.
-
-    image: (H, W, 3) of the best candidate: the task's reference, or the render of the run.
-    loss, mse, metrics: loss of the run, mean squared error and other losses of that image.
-    x_recommended: (dim,); recommended_loss: of its reference; None and NaN without a reference.
-    """
-
-    image: Float32 | None = None
-    loss: float = np.nan
-    mse: float = np.nan
-    x_recommended: Float64 | None = None
-    recommended_loss: float = np.nan
-    metrics: dict[str, float] = field(default_factory=dict)
-
-
-def result_of(
-    settings: Mapping[str, Any],
-    record: Record,
-    verdict: Verdict,
-    *,
-    budget: int,
-    status: Status | None = None,
-    space: object = None,
-) -> RunResult:
-    """Result of a run with these `settings`, as its directory records them.
-
-    space: names of the parameters, where the settings do not have it.
-    """
-    r, s = record, settings
-    there = None if s.get("space") is None else Space.from_dict(s["space"])
-    names = there or space
-    params = names.decode(r.x_best) if r.x_best is not None and isinstance(names, Space) else None
-    same = ("task", "optimizer", "loss", "seed", "task_seed", "dim")
-    copied = ("evaluations", "best_loss", "best_evaluation", "wall_s", "image", "first_image")
-    return RunResult(
-        **{name: s[name] for name in same},
-        **{name: getattr(r, name) for name in copied},
-        parameters=int(s["dim"]) if there is None else len(there.names),  # else of each coordinate
-        budget=budget,
-        reference_loss=verdict.loss,
-        recommended_loss=verdict.recommended_loss,
-        mse=verdict.mse,
-        times=dict(r.times),
-        x_best=None if r.x_best is None else r.x_best.copy(),
-        x_recommended=verdict.x_recommended,
-        reference=verdict.image,
-        losses=np.array(r.losses),
-        seconds=np.array(r.seconds),
-        improvements=np.array(r.improvements, np.int64),
-        metrics={name: np.array(values) for name, values in r.metrics.items()},
-        judged=dict(verdict.metrics),
-        status=status,
-        params=params,
-    )
-
-
-_IMAGE = maybe(numbers("H", "W", 3, low=0.0, high=1.0))
-_FINENESS: Schema = {
-    **dict.fromkeys(("k", "samples", "_count", "_since", "_told", "_best_at"), whole()),
-    **{name: numbers(name, low=None) for name in ("_halves", "_spreads", "_losses")},
-    "cost": real(),
-    "_best": real(high=math.inf),
-    "_typical": maybe(real()),
-    "_spread": maybe(numbers("d", low=0.0)),
-    "works": each(whole()),
-    "sizes": each(each(anything)),
-    "rising": maybe(row(numbers("d", low=0.0, high=1.0), numbers("d", low=0.0))),
-}
-_RECORD: dict[str, Schema] = {
-    "losses": numbers("e", low=None),
-    "seconds": numbers("e", low=0.0),
-    "improvements": numbers("m", kind="i", low=0.0),
-    "path": numbers("k", "d", low=0.0, high=1.0),
-    "metrics": table(numbers("m", low=None)),
-    "times": dict.fromkeys(PARTS, real()),
-    "wall_s": real(),
-    "best_loss": real(high=math.inf),
-    "best_evaluation": whole(-1),
-    "x_best": maybe(numbers("d", low=0.0, high=1.0)),
-    "image": _IMAGE,
-    "first_image": _IMAGE,
-    "pending": maybe(numbers("p", "d", low=0.0, high=1.0)),
-    "failures": whole(),
-}
+def totals_of(
+    settings: Mapping[str, Any], record: Record, *, budget: int, mse: float
+) -> dict[str, Any]:
+    """Totals of a run with these settings, for JSON: those of `SUMMARY`, and some more."""
+    r, same = record, ("task", "optimizer", "loss", "seed", "task_seed", "dim")
+    return {
+        **{name: settings[name] for name in same},
+        "budget": budget,
+        "evaluations": r.evaluations,
+        "best_loss": finite(r.best_loss),
+        "mse": finite(mse),
+        "wall_s": r.wall_s,
+        "render_s": r.times["render"],
+        "overhead_s": r.wall_s - r.times["render"],
+        "x_best": None if r.x_best is None else r.x_best.tolist(),
+        "best_evaluation": r.best_evaluation,
+        "times": r.times,
+    }
 
 
 def check_record(state: Any, dim: int, size: Sequence[int]) -> None:
     """Raise ValueError unless `state` is valid for a run of `dim` parameters and size (H, W)."""
     sides = {"d": dim, "H": size[0], "W": size[1]}
-    schema = {**_RECORD, "fineness": _FINENESS} if "fineness" in state else _RECORD
+    schema = form(Record)
+    if "fineness" not in state:
+        del schema["fineness"]
     check(state, schema, sides, "record")
     if sides["m"] and int(state["improvements"].max()) >= sides["e"]:
         raise ValueError(f"an improvement after all {sides['e']} evaluations")

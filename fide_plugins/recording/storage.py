@@ -151,14 +151,6 @@ def write_checkpoint(path: Path, record: Record, optimizer: Optimizer) -> None:
     _remove_optimizers(path, but=name)
 
 
-def remove_checkpoint(path: Path) -> None:
-    """Remove the state from the folder `path`, as far as that is possible."""
-    for name in (CHECKPOINT, TARGET_FILE):
-        with suppress(OSError):
-            (path / name).unlink()
-    _remove_optimizers(path)
-
-
 def _remove_optimizers(path: Path, but: str = "") -> None:
     for file in path.glob("optimizer-*.ckpt"):
         if file.name != but and _OPTIMIZER_FILE.fullmatch(file.name):

@@ -230,10 +230,7 @@ class Template:
                 _formatted(name, value, spec, conversion, text)
 
     def command(self, params: Mapping[str, Any], out: str, params_file: str) -> list[str]:
-        """Arguments, the program first, for these parameters and files.
-
-        Raises OptionError if a value does not fit the format that is asked for.
-        """
+        """Arguments, the program first; OptionError if a value does not fit its format."""
         values = {**dict(flat(params)), "out": out, "params": params_file}
         return [self._fill(word, values) for word in self.words]
 

@@ -1,5 +1,7 @@
 """Schemas: types, ranges and shapes of a state that was read from a file, by name of each side.
 
+A rule returns what it has checked as it is put back: a dataclass, an enum, a tensor.
+
 >>> check({"x": np.zeros((3, 2)), "n": 3}, {"x": array("n", "d"), "n": whole()}, {"d": 2})
 >>> check({"x": np.zeros((3, 2)), "n": 3}, {"x": array("n", "n"), "n": whole()}, {})
 Traceback (most recent call last):
@@ -11,15 +13,17 @@ from __future__ import annotations
 import sys
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import field, fields
+from dataclasses import field, fields, is_dataclass
+from enum import Enum
 from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 
-Sides: TypeAlias = dict[str, int]
+Sides: TypeAlias = dict[str, Any]
+"""Lengths of sides by their names; "device": of tensors that are put back."""
 Plain: TypeAlias = Mapping[str, Any]
 """What `state_dict` gives: arrays, tensors, numbers, texts, in lists and dicts."""
-Rule: TypeAlias = Callable[[Any, str, Sides], None]
+Rule: TypeAlias = Callable[[Any, str, Sides], Any]
 Schema: TypeAlias = "Rule | dict[str, Schema]"
 
 IMPOSSIBLE = (
@@ -35,16 +39,17 @@ IMPOSSIBLE = (
 _LARGEST = sys.float_info.max  # a legal value: some libraries use it for a failed evaluation
 
 
-def check(state: Any, schema: Schema, sides: Sides, place: str = "state") -> None:
-    """Raise ValueError unless `state` matches the schema; adds the sides found to `sides`."""
+def check(state: Any, schema: Schema, sides: Sides, place: str = "state") -> Any:
+    """Return what is put back; ValueError unless `state` matches the schema.
+
+    Adds the sides found to `sides`.
+    """
     if not isinstance(schema, dict):
-        schema(state, place, sides)
-        return
+        return schema(state, place, sides)
     _demand(isinstance(state, dict), place, "is no dict")
     odd = sorted(set(state) ^ set(schema))
     _demand(not odd, place, f"has missing or unknown entries: {', '.join(map(repr, odd))}")
-    for name, part in schema.items():
-        check(state[name], part, sides, f"{place}[{name!r}]")
+    return {k: check(state[k], one, sides, f"{place}[{k!r}]") for k, one in schema.items()}
 
 
 def saved(rule: Schema, **arguments: Any) -> Any:
@@ -57,43 +62,47 @@ def form(kind: type) -> dict[str, Schema]:
     return {f.name: f.metadata["saved"] for f in fields(kind) if "saved" in f.metadata}
 
 
-def values(instance: Any) -> dict[str, Any]:
-    """Those fields of an instance, by name; not copies."""
-    return {name: getattr(instance, name) for name in form(type(instance))}
-
-
 def packed(value: Any) -> Any:
-    """A part, or a list of them, as plain values, by `state_dict`; anything else as it is."""
+    """A part, or a list of them, as plain values, not copies; anything else as it is."""
     if isinstance(value, list | tuple | deque):
         return [packed(one) for one in value]
-    return value.state_dict() if hasattr(value, "state_dict") else value
+    if hasattr(value, "state_dict"):
+        return value.state_dict()
+    fields_of = form(type(value)) if is_dataclass(value) else {}
+    return {name: packed(getattr(value, name)) for name in fields_of} if fields_of else value
 
 
 class Stateful:
-    """An object that saves those of its attributes that are in SCHEMA.
+    """An object that saves its `saved` fields, or those of its attributes that are in SCHEMA.
 
     SCHEMA: what each must be like, by name; a private attribute is there without its underscore.
     """
 
-    SCHEMA: ClassVar[dict[str, Schema]]
+    SCHEMA: ClassVar[dict[str, Schema]] = {}
 
     def state_dict(self) -> dict[str, Any]:
         """All that changes, those values in use, not copies; parts by their own `state_dict`."""
-        return {name: packed(getattr(self, self._attribute(name))) for name in self.SCHEMA}
+        return {name: packed(getattr(self, self._attribute(name))) for name in self._schema()}
 
-    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
+    def load_state_dict(self, state: Plain, sides: Sides | None = None) -> None:
         """Put back what `state_dict` gave; ValueError for what it cannot have given.
 
         sides: of arrays, by their names in the schema, as far as they are known.
-        device: of tensors in parts that have some.
         """
-        check(state, self.SCHEMA, {**(sides or {}), **self._sides()}, type(self).__name__.lower())
-        for name in self.SCHEMA:
+        known = {**(sides or {}), **self._sides()}
+        found = check(state, self._schema(), known, type(self).__name__.lower())
+        for name, value in found.items():
             part = getattr(self, self._attribute(name))
             if hasattr(part, "load_state_dict"):
-                part.load_state_dict(state[name], sides, device)
+                part.load_state_dict(value, known)
+            elif isinstance(part, list) and part and hasattr(part[0], "load_state_dict"):
+                for one, its in zip(part, value, strict=True):
+                    one.load_state_dict(its, known)
             else:
-                setattr(self, self._attribute(name), state[name])
+                setattr(self, self._attribute(name), value)
+
+    def _schema(self) -> dict[str, Schema]:
+        return self.SCHEMA or form(type(self))
 
     def _sides(self) -> Sides:
         """Sides that this object knows."""
@@ -109,7 +118,11 @@ def _demand(sound: bool, place: str, otherwise: str) -> None:
 
 
 def _rule(sound: Callable[[Any], bool], otherwise: str) -> Rule:
-    return lambda value, place, sides: _demand(sound(value), place, otherwise)
+    def rule(value: Any, place: str, sides: Sides) -> Any:
+        _demand(sound(value), place, otherwise)
+        return value
+
+    return rule
 
 
 def _is_number(value: Any, kinds: Any, low: float, high: float) -> bool:
@@ -127,8 +140,9 @@ def real(low: float = -_LARGEST, high: float = _LARGEST) -> Rule:
     return _rule(lambda v: _is_number(v, int | float, low, high), otherwise)
 
 
-def anything(value: Any, place: str, sides: Sides) -> None:
+def anything(value: Any, place: str, sides: Sides) -> Any:
     """Any value: for a component that checks its own state."""
+    return value
 
 
 flag = _rule(lambda v: isinstance(v, bool), "is neither True nor False")
@@ -146,8 +160,8 @@ def array(
     low None: any values, also NaN.  An array without rows may lack the other sides.
     """
 
-    def rule(value: Any, place: str, sides: Sides) -> None:
-        value = _on_this_machine(value)
+    def rule(given: Any, place: str, sides: Sides) -> Any:
+        value = _on_this_machine(given)
         sound = isinstance(value, np.ndarray) and value.dtype.kind in kind
         _demand(sound, place, f"is no array of the kind {kind!r}")
         rows = names[0] if isinstance(names[0], int) else sides.get(names[0], 0)
@@ -159,6 +173,39 @@ def array(
         if value.size and kind != "b" and low is not None:
             ends = float(value.min()), float(value.max())  # NaN if there is one
             _demand(low <= ends[0] <= ends[1] <= high, place, f"has values outside [{low}, {high}]")
+        return given
+
+    return rule
+
+
+def tensor(*names: str) -> Rule:
+    """Such an array, which becomes a tensor on the device of the sides."""
+    rule = array(*names)
+
+    def made(value: Any, place: str, sides: Sides) -> Any:
+        from torch import as_tensor
+
+        return as_tensor(rule(value, place, sides), device=sides.get("device"))
+
+    return made
+
+
+def instance(kind: Callable[..., Any], schema: Schema | None = None) -> Rule:
+    """What `kind` makes of these fields; None: the `saved` ones of a dataclass."""
+
+    def rule(value: Any, place: str, sides: Sides) -> Any:
+        own = form(kind) if schema is None and isinstance(kind, type) else schema or {}
+        return kind(**check(value, own, sides, place))
+
+    return rule
+
+
+def enum(kind: type[Enum]) -> Rule:
+    """The value of a member."""
+
+    def rule(value: Any, place: str, sides: Sides) -> Any:
+        _demand(value in [one.value for one in kind], place, f"is no {kind.__name__}")
+        return kind(value)
 
     return rule
 
@@ -168,19 +215,21 @@ def _on_this_machine(value: Any) -> Any:
     return value.detach().cpu().numpy() if hasattr(value, "detach") else value
 
 
-def numbers(value: Any, place: str, sides: Sides) -> None:
+def numbers(given: Any, place: str, sides: Sides) -> Any:
     """An array of finite numbers of any shape."""
-    value = _on_this_machine(value)
+    value = _on_this_machine(given)
     sound = isinstance(value, np.ndarray) and value.dtype.kind in "fiu"
     _demand(sound and bool(np.isfinite(value).all()), place, "is no array of finite numbers")
+    return given
 
 
 def side(name: str) -> Rule:
     """An int that equals the side of that name."""
 
-    def rule(value: Any, place: str, sides: Sides) -> None:
+    def rule(value: Any, place: str, sides: Sides) -> Any:
         known = sides.get(name)
         _demand(type(value) is int and known in (None, value), place, f"is not {name}, {known}")
+        return value
 
     return rule
 
@@ -190,25 +239,24 @@ def maybe(schema: Schema) -> Rule:
     return lambda value, place, sides: None if value is None else check(value, schema, sides, place)
 
 
-def each(schema: Schema) -> Rule:
-    """A list of values with this schema."""
+def each(schema: Schema, most: float = np.inf) -> Rule:
+    """A list of values with this schema, so many at most."""
 
-    def rule(value: Any, place: str, sides: Sides) -> None:
-        _demand(isinstance(value, list), place, "is no list")
-        for i, entry in enumerate(value):
-            check(entry, schema, sides, f"{place}[{i}]")
+    def rule(value: Any, place: str, sides: Sides) -> Any:
+        _demand(isinstance(value, list) and len(value) <= most, place, f"is no list of {most}")
+        return [check(one, schema, sides, f"{place}[{i}]") for i, one in enumerate(value)]
 
     return rule
 
 
 def row(*schemas: Schema) -> Rule:
-    """A list with one entry for each of these schemas."""
+    """A list with one entry for each of these schemas; it becomes a tuple."""
 
-    def rule(value: Any, place: str, sides: Sides) -> None:
+    def rule(value: Any, place: str, sides: Sides) -> Any:
         sound = isinstance(value, list) and len(value) == len(schemas)
         _demand(sound, place, f"is no list of {len(schemas)} entries")
-        for i, schema in enumerate(schemas):
-            check(value[i], schema, sides, f"{place}[{i}]")
+        pairs = enumerate(zip(value, schemas, strict=True))
+        return tuple(check(one, schema, sides, f"{place}[{i}]") for i, (one, schema) in pairs)
 
     return rule
 
@@ -216,9 +264,9 @@ def row(*schemas: Schema) -> Rule:
 def table(schema: Schema) -> Rule:
     """A dict with any keys, whose values have this schema."""
 
-    def rule(value: Any, place: str, sides: Sides) -> None:
+    def rule(value: Any, place: str, sides: Sides) -> Any:
         _demand(isinstance(value, dict), place, "is no dict")
-        check(value, dict.fromkeys(value, schema), sides, place)
+        return check(value, dict.fromkeys(value, schema), sides, place)
 
     return rule
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -289,7 +289,7 @@ class CMAES(Stateful):
             self.C = (self.C + self.C.T) / 2
         self._D = np.sqrt(eigenvalues)
 
-    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
+    def load_state_dict(self, state: Plain, sides: Sides | None = None) -> None:
         """Go on, bit for bit, where `state_dict` was taken; ValueError if it is none."""
         if (state.get("two_point") is None) != (self._two_point is None):
             raise ValueError("distribution['two_point'] is not of so many parameters")

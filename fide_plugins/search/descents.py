@@ -6,7 +6,7 @@ A photograph has a narrow basin, and a learned model's hypotheses lie around it.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from torch import Tensor
@@ -196,7 +196,7 @@ class Descents(Stateful):
         """Signed differences (d,) of y from x, the shorter way around."""
         return shorter(y - x, self._axes.periodic)
 
-    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
+    def load_state_dict(self, state: Plain, sides: Sides | None = None) -> None:
         """Put back what `state_dict` gave; raises ValueError for what it cannot have given."""
         super().load_state_dict(state)
         for name in ("x", "losses", "damping", "residuals", "jacobians"):

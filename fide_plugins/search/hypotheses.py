@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import replace
-from typing import Any, ClassVar, TypeAlias
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 
@@ -285,7 +285,7 @@ class Hypotheses(Move, Stateful):
         """Whether a candidate x (d,), as it was rendered, is one of the points (n, d)."""
         return bool((self._place(points) == x).all(axis=1).any())
 
-    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
+    def load_state_dict(self, state: Plain, sides: Sides | None = None) -> None:
         """Put back what `state_dict` gave; ValueError for what it cannot have given."""
         super().load_state_dict(state, {"d": self._dim})
         for name in ("x", "_refined", "_waiting", "_before"):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -271,7 +271,7 @@ class Search(Stateful):
             self.stretch = self.axes.correct(self.distribution, self.stretch)
         self.distribution.mean = self._with_fixed(self.distribution.mean)
 
-    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
+    def load_state_dict(self, state: Plain, sides: Sides | None = None) -> None:
         """Go on where `state_dict` was taken; ValueError if it is none."""
         if (state.get("stretch") is None) != (self.stretch is None):
             raise ValueError("search['stretch'] is not of this space")

@@ -24,13 +24,13 @@ from fide_plugins.runtime.schema import (
     anything,
     array,
     check,
+    enum,
     flag,
-    form,
+    instance,
     maybe,
     packed,
     real,
     text,
-    values,
     whole,
 )
 from fide_plugins.search.mixed import Axes, Values
@@ -103,18 +103,13 @@ class Choice(Stateful):
 
 
 _PLAIN: dict[str, Schema] = {
+    "stage": enum(Stage),
+    "start": instance(Start),
     "move": maybe(text),
     "loss_only_searches": whole(),
     "guided": flag,
     "descends": flag,
     "noise": maybe(real(0.0)),
-}
-_SCHEMA: dict[str, Schema] = {
-    **_PLAIN,
-    "stage": text,
-    "start": dict(form(Start)),
-    "rng": GENERATOR,
-    "incumbent": maybe(form(TrainingSample)),
 }
 _PARTS = ("optima", "exchangeability", "removal", "sensitivity", "values")  # of what is known
 _COST = 12.0  # generations that a move takes, roughly
@@ -462,41 +457,29 @@ class MovePolicy:
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that changes."""
-        incumbent = self.known.incumbent
-        return {
-            **{name: getattr(self, name) for name in _PLAIN},
-            "stage": self.stage.value,
-            "start": values(self.start),
-            "rng": self._rng.bit_generator.state,
-            "incumbent": None if incumbent is None else incumbent.state_dict(),
-            "choice": self._choice.state_dict(),
-            "hypotheses": packed(self.hypotheses),
-            "descents": packed(self.descents),
-            **{name: getattr(self.known, name).state_dict() for name in _PARTS},
-        }
+        own = {name: packed(getattr(self, name)) for name in (*_PLAIN, "hypotheses", "descents")}
+        own |= {name: packed(getattr(self.known, name)) for name in ("incumbent", *_PARTS)}
+        return own | {"rng": self._rng.bit_generator.state, "choice": packed(self._choice)}
 
-    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
-        """Put back what `state_dict` gave, tokens on the device; ValueError if it is none."""
-        known = self.known
-        (tokens, channels), d = known.target.shape, known.axes.dim
-        sides = {"d": d, "T": tokens, "C": channels}
-        parts = (*_PARTS, "choice", "hypotheses", "descents")
-        check(state, {**_SCHEMA, **dict.fromkeys(parts, anything)}, dict(sides), "moves")
-        found: dict[str, Any] = {name: getattr(known, name) for name in _PARTS}
-        found["choice"] = self._choice
+    def load_state_dict(self, state: Plain, sides: Sides | None = None) -> None:
+        """Put back what `state_dict` gave; ValueError if it is none.  sides: T, C, device."""
+        known, sides = self.known, {**(sides or {}), "d": self.known.axes.dim}
+        own = {**_PLAIN, "rng": GENERATOR, "incumbent": maybe(instance(TrainingSample))}
+        rest = dict.fromkeys((*_PARTS, "choice", "hypotheses", "descents"), anything)
+        found = check(state, {**own, **rest}, dict(sides), "moves")
+        parts: dict[str, Any] = {name: getattr(known, name) for name in _PARTS}
+        parts["choice"] = self._choice
         if state["hypotheses"] is not None:
-            found["hypotheses"] = self._need_hypotheses()
+            parts["hypotheses"] = self._need_hypotheses()
         if state["descents"] is not None:
-            found["descents"] = self._need_descents()
+            parts["descents"] = self._need_descents()
         self._check(state)
         for name in _PLAIN:
-            setattr(self, name, state[name])
-        self.stage, self.start = Stage(state["stage"]), Start(**state["start"])
+            setattr(self, name, found[name])
         self._rng.bit_generator.state = state["rng"]
-        for name, part in found.items():
-            part.load_state_dict(state[name], sides, device)
-        saved = state["incumbent"]
-        known.incumbent = None if saved is None else TrainingSample.from_state(saved, device)
+        for name, one in parts.items():
+            one.load_state_dict(state[name], sides)
+        known.incumbent = found["incumbent"]
         for optimum in known.optima.all:  # it is one of them, not a copy
             if known.incumbent is not None and np.array_equal(optimum.sample.x, known.incumbent.x):
                 known.incumbent = optimum.sample

@@ -9,7 +9,7 @@ import operator
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, TypeAlias
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 from torch import Tensor
@@ -26,11 +26,9 @@ from fide_plugins.runtime.schema import (
     check,
     each,
     flag,
-    form,
+    instance,
     maybe,
-    packed,
     saved,
-    values,
     whole,
 )
 from fide_plugins.search import mixed
@@ -239,7 +237,7 @@ class Exchangeability(Stateful):
             if all(len(together(block)) == len(block) for block in layout)
         ]
 
-    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
+    def load_state_dict(self, state: Plain, sides: Sides | None = None) -> None:
         """Put back what `state_dict` gave; ValueError for what it cannot have given."""
         for name in ("blocks", "found"):
             within = maybe(array(name, "length", kind="i", low=0, high=self.dim - 1))
@@ -494,18 +492,14 @@ class Optimum:
     refined: whether `refine` was tried.
     """
 
-    sample: TrainingSample = saved(form(TrainingSample))
+    sample: TrainingSample = saved(instance(TrainingSample))
     failures: int = saved(whole(), default=0)
     searches: int = saved(whole(), default=1)
     refined: bool = saved(flag, default=False)
 
-    def state_dict(self) -> dict[str, Any]:
-        """All of it."""
-        return {name: packed(value) for name, value in values(self).items()}
-
 
 @dataclass(eq=False)
-class Optima:
+class Optima(Stateful):
     """Distinct local optima, best first, and how often moves from each of them failed.
 
     The next incumbent is the optimum with the lowest *score*, its rank by loss plus its failures in
@@ -515,7 +509,7 @@ class Optima:
     descents: new searches since the best optimum was found.
     """
 
-    all: list[Optimum] = saved(each(form(Optimum)), default_factory=list)
+    all: list[Optimum] = saved(each(instance(Optimum)), default_factory=list)
     descents: int = saved(whole(), default=0)
     forgotten: int = saved(whole(), default=0)
 
@@ -572,15 +566,3 @@ class Optima:
             self.descents += 1
             return None
         return self.all[int(np.argmin(scores))].sample
-
-    def state_dict(self) -> dict[str, Any]:
-        """Everything."""
-        return {name: packed(value) for name, value in values(self).items()}
-
-    def load_state_dict(self, state: Plain, sides: Sides | None = None, device: Any = None) -> None:
-        """Put back what `state_dict` gave, tokens on the device; ValueError if it is none."""
-        check(state, form(Optima), dict(sides or {}), "optima")
-        samples = [TrainingSample.from_state(one["sample"], device) for one in state["all"]]
-        pairs = zip(state["all"], samples, strict=True)
-        self.all = [Optimum(**{**one, "sample": sample}) for one, sample in pairs]
-        self.descents, self.forgotten = state["descents"], state["forgotten"]

@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any, NamedTuple, Self, TypeAlias, get_args
 
 import numpy as np
@@ -32,24 +33,8 @@ _NO_PARAMETER = (
 )
 
 
-class _Constant:
-    """What cannot be changed, and is equal where its kind and its `_key` are."""
-
-    _key: Any
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, type(self)) and self._key == other._key
-
-    def __hash__(self) -> int:
-        return hash(self._key)
-
-    def __setattr__(self, name: str, value: object) -> None:
-        raise AttributeError(
-            f"a {type(self).__name__} cannot be changed; make another one with a new {name}"
-        )
-
-
-class Group(_Constant):
+@dataclass(frozen=True, init=False, repr=False)
+class Group:
     """Parameters that belong to one thing: ``Group(x=Float(0, 1), y=Float(0, 1))``.
 
     ``6 * Group(...)`` are six things of one kind, which may change places: a list of six
@@ -61,7 +46,7 @@ class Group(_Constant):
     Raises SpaceError (a ValueError).
     """
 
-    members: dict[str, Member]
+    items: tuple[tuple[str, Member], ...]
 
     def __init__(self, members: Mapping[str, Member] | None = None, /, **named: Member) -> None:
         checked = _check_members("Group", members, named)
@@ -71,7 +56,12 @@ class Group(_Constant):
                     f"no member of a Group may be called {name!r}, which has a meaning in files; "
                     f"call it {name}_"
                 )
-        self.__dict__.update(members=checked, _key=tuple(checked.items()))
+        object.__setattr__(self, "items", tuple(checked.items()))
+
+    @property
+    def members(self) -> dict[str, Member]:
+        """What each name is."""
+        return dict(self.items)
 
     def __mul__(self, times: int) -> Repeated:
         return Repeated(self, times)
@@ -82,25 +72,26 @@ class Group(_Constant):
         return f"Group({', '.join(f'{n}={m!r}' for n, m in self.members.items())})"
 
 
-class Repeated(_Constant):
+@dataclass(frozen=True, repr=False)
+class Repeated:
     """Several things of one kind, ``times * group``."""
 
     group: Group
     times: int
 
-    def __init__(self, group: Group, times: int) -> None:
-        number = as_whole(times) or 0
+    def __post_init__(self) -> None:
+        number = as_whole(self.times) or 0
         if not 1 <= number <= _MOST_COPIES:
             raise SpaceError(
-                f"a Group may be repeated 1 to {_MOST_COPIES} times, not {times!r}; write "
+                f"a Group may be repeated 1 to {_MOST_COPIES} times, not {self.times!r}; write "
                 "6 * Group(...), in a file repeat = 6"
             )
-        if any(leaf.block for leaf in _leaves_of(group.members)):
+        if any(leaf.block for leaf in _leaves_of(self.group.members)):
             raise SpaceError(
-                f"a repeated Group cannot hold another repeated Group, as {group!r} does; write "
-                "the inner ones under names of their own"
+                f"a repeated Group cannot hold another repeated Group, as {self.group!r} does; "
+                "write the inner ones under names of their own"
             )
-        self.__dict__.update(group=group, times=number, _key=(number, group))
+        object.__setattr__(self, "times", number)
 
     def __repr__(self) -> str:
         return f"{self.times} * {self.group!r}"
@@ -159,7 +150,8 @@ def _leaves_of(
             yield Leaf(name, member, block)
 
 
-class Space(_Constant):
+@dataclass(frozen=True, init=False, repr=False)
+class Space:
     """Parameters by name, each a `Float`, `Int`, `Choice` or `Group` of such.
 
     >>> from fide_plugins import Choice, Float, Group, Int, Space
@@ -177,16 +169,12 @@ class Space(_Constant):
     constraints: conditions by name, ``{"wall": "inner < 0.6 * outer"}`` (`space.constraints`);
         nothing else is rendered.  So no parameter may be called "constraints".
 
-    layout: where each parameter lies in the cube.
-
     A space cannot be changed; spaces of the same parameters in the same order, with the same
     constraints, are equal.  Raises SpaceError (a ValueError).
     """
 
-    layout: Layout
-    _members: dict[str, Member]
-    _expressions: tuple[Expression, ...]
-    _leaves: list[Leaf]
+    items: tuple[tuple[str, Member], ...]
+    expressions: tuple[Expression, ...]
 
     def __init__(
         self,
@@ -196,26 +184,31 @@ class Space(_Constant):
         constraints: Any = None,  # a mapping; typed so that Space(**floats) is well typed
         **named: Member,
     ) -> None:
-        expressions = _expressions(constraints)
         if isinstance(members, Mapping) and _CONSTRAINTS in members:
             raise SpaceError(_NO_PARAMETER)
+        object.__setattr__(self, "expressions", _expressions(constraints))
         checked = _check_members("Space", members, named)
-        found = list(_leaves_of(checked))
-        layout = Layout([leaf.kind for leaf in found])
-        if layout.dim == 0:
+        object.__setattr__(self, "items", tuple(checked.items()))
+        if self.dim == 0:
             raise SpaceError(
                 "Space needs a parameter that can vary, but each is a Choice of one value; add one"
             )
-        self.__dict__.update(
-            _members=checked,
-            _leaves=found,
-            layout=layout,
-            _expressions=expressions,
-            _key=(*checked.items(), expressions),
-        )
-        sample = _nested(checked, iter([sample_of(leaf.kind) for leaf in found]))
-        for expression in expressions:
+        sample = _nested(self._members, iter([sample_of(leaf.kind) for leaf in self._leaves]))
+        for expression in self.expressions:
             expression.check(sample)
+
+    @property
+    def _members(self) -> dict[str, Member]:
+        return dict(self.items)
+
+    @cached_property
+    def _leaves(self) -> list[Leaf]:
+        return list(_leaves_of(self._members))
+
+    @cached_property
+    def layout(self) -> Layout:
+        """Where each parameter lies in the cube."""
+        return Layout([leaf.kind for leaf in self._leaves])
 
     @property
     def dim(self) -> int:
@@ -241,11 +234,11 @@ class Space(_Constant):
     @property
     def constraints(self) -> dict[str, str]:
         """Conditions on the parameters by name, as they were written; {} without."""
-        return {one.name: one.text for one in self._expressions}
+        return {one.name: one.text for one in self.expressions}
 
     def violations(self, params: Mapping[str, Any]) -> dict[str, float]:
         """By how much each constraint is violated by `params`, as of `decode`; 0 where it holds."""
-        return {one.name: one.violation(params) for one in self._expressions}
+        return {one.name: one.violation(params) for one in self.expressions}
 
     @property
     def periodic(self) -> Mask:
@@ -321,7 +314,7 @@ class Space(_Constant):
         Raises SpaceError if a Choice has values that JSON does not have.
         """
         data = _as_data(self._members)
-        return data | ({_CONSTRAINTS: self.constraints} if self._expressions else {})
+        return data | ({_CONSTRAINTS: self.constraints} if self.expressions else {})
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Self:

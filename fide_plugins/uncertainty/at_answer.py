@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from fide_plugins.types import Estimate, Float64, Mask
+from fide_plugins.types import Float64
 
 _ROUNDING = (1 / 255) ** 2 / 12
 _PRIOR = 1 / 12  # variance of the uniform law on [0, 1]
@@ -16,27 +15,6 @@ _NUMBERS = 2_000_000  # of J, above which pictures are made smaller
 _RIDGE = 1e-9
 _MOST = 0.9  # of the residual's energy, which the parameters may have taken away
 _TINY = 1e-150
-
-
-@dataclass(frozen=True, eq=False)
-class AtAnswer:
-    """An estimate from renders around an answer.
-
-    std: (dim,), NaN for integers and choices.  by_samples: of samples of the search; None: unknown.
-    """
-
-    std: Float64
-    by_samples: Estimate | None = None
-
-    @property
-    def rough(self) -> bool:
-        """False: the path of the search does not matter."""
-        return False
-
-    @property
-    def ambiguous(self) -> Mask | None:
-        """(dim,), integers and choices of which another value may be the true one."""
-        return None if self.by_samples is None else self.by_samples.ambiguous
 
 
 def deviations_at(

@@ -103,10 +103,7 @@ def surroundings(
     discrete: Mask | None,
     blocks: Indices | None,
 ) -> Surroundings | None:
-    """Of a solution x (d,); None if too few samples are its own, or none of them lies there.
-
-    The arguments are those of `LocalEstimate`.
-    """
+    """Of a solution x (d,), see `LocalEstimate`; None if too few samples are its own."""
     free = np.ones(len(x), bool) if discrete is None else ~discrete
     if not free.any() or len(samples) < _least(free):
         return None
@@ -138,10 +135,8 @@ def surroundings(
 def most_alike(around: Surroundings, missed: float) -> Indices:
     """Rows of the own samples whose images are most like the solution's, in the order of asking.
 
-    missed: squared, by how much the solution misses the target.
-
     A search may converge farther than single precision tells.  Samples of which only the last
-    digits differ do not count where the target is missed by more, if enough others are left.
+    digits differ do not count where the target is missed (squared) by more, if others are left.
     """
     least = _DIGITS * float(np.square(around.features[around.at]).sum())
     rows = around.own[(around.distances[around.own] >= least) | (around.own == around.at)]
@@ -190,9 +185,7 @@ def limits(around: Surroundings, missed: Float64, model: FitToTarget, std: Float
     """How far (p,) the truth may be in each number that is open; infinite where nothing limits it.
 
     What the model leaves open is open only where samples speak for it: an image as good lies far
-    away in that number, or the number has no effect.  Else samples as good limit it.
-
-    missed: (n,), squared, by how much samples miss the target.  std: (p,), by the model alone.
+    away in that number, or the number has no effect.  missed: (n,), squared.  std: (p,), alone.
     """
     more = max(NO_EFFECT * model.farthest, _as_good(model))
     good = around.own[missed[around.own] <= missed[around.at] + more]
@@ -213,10 +206,7 @@ def _as_good(model: FitToTarget) -> float:
 
 
 def _without_effect(around: Surroundings, one: int) -> bool:
-    """Whether nearest neighbors in all other numbers have the better image more often than in all.
-
-    A search leaves a number without effect where it is.
-    """
+    """Whether neighbors in all other numbers are the better ones: the search leaves it as it is."""
     rows = around.own[:: -(-len(around.own) // _MOST)]
     u, e = around.steps(rows), around.features[rows]
     others = np.arange(u.shape[1]) != one

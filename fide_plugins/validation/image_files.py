@@ -30,9 +30,8 @@ _LARGEST_16 = np.float32(65535)
 def read_pixels(path: str | os.PathLike[str], max_side: int | None, *, raw: bool = False) -> Pixels:
     """Decode an image file; the size in its header is checked before any pixel is decoded.
 
-    max_side: pixels of the longer side, at most.  raw: numbers as they are stored; otherwise those
-    of 16 bits are divided by 65535.  Raises ImageError, ImageNotFoundError,
-    DependencyError for EXR without its extra.
+    raw: numbers as they are stored; otherwise those of 16 bits are divided by 65535.
+    Raises ImageError, ImageNotFoundError, DependencyError for EXR without its extra.
     """
     name, frames = os.fspath(path), 1
     try:

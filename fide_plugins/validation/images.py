@@ -73,7 +73,10 @@ def as_pixels(image: object, what: str, raw: bool = False, size: Size | None = N
     """
     array, is_tensor = _to_array(image, what, raw)
     if array.ndim not in (2, 3):
-        raise _other_axes(array, what)
+        raise ImageError(
+            f"{what} must have axes (H, W) or (H, W, C), got {describe(array)}; take an image out "
+            f"of its batch, image[0]; {_VIEWS}"
+        )
     pixels: Pixels = channels_last(array, 0, is_tensor, size, what)
     return pixels
 
@@ -226,11 +229,6 @@ def _to_array(
             f"{what} is a masked array, and its mask would be lost; give image.filled(value), and "
             "say by mask= or weights= which pixels count"
         )
-    if isinstance(image, list | tuple) and any(getattr(one, "ndim", 0) > 2 for one in image):
-        raise ImageError(
-            f"{what} must be one image, not a list of {len(image)}; give one of them, or for "
-            "several views a target for each"
-        )
     try:
         array = np.asarray(image)  # also of rows
     except (TypeError, ValueError, RuntimeError) as e:
@@ -261,14 +259,6 @@ def _canonical(
     return out
 
 
-def _other_axes(pixels: Any, what: str) -> ImageError:
-    """Error for axes that are not those of one image."""
-    remedy = f"; {_VIEWS}" if pixels.ndim == 4 else ""
-    if pixels.ndim == 4 and len(pixels) == 1:
-        remedy = "; take it out of its batch of one, image[0]"
-    return ImageError(f"{what} must have axes (H, W) or (H, W, C), got {describe(pixels)}{remedy}")
-
-
 def check_batch_axes(pixels: Any, size: Size | None, what: str) -> None:
     """Raise ImageError unless the axes are those of a batch."""
     has_channels = pixels.ndim == 3 and pixels.shape[2] in CHANNELS  # as n gray images could
@@ -285,7 +275,7 @@ def _miscounted(count: int, n: int | None) -> ImageError:
 
 
 def channels_last(pixels: Any, batch: int, may_be_first: bool, size: Size | None, what: str) -> Any:
-    """View of `pixels` as (..., H, W, C), after `batch` (0 or 1) leading axes; checks the size.
+    """View of `pixels` as (..., H, W, C), after `batch` (0 or 1) axes; checks the size.
 
     may_be_first: whether channels may come before H and W, as in torch tensors.
     """

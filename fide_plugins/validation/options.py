@@ -22,10 +22,7 @@ _MOST_STEPS = 1000
 
 
 def check_names(options: Collection[str], arguments: Iterable[str], instead: str) -> None:
-    """Refuse options of an optimizer that are named as arguments that its caller gives it.
-
-    instead: what such an option is, to end the error.
-    """
+    """Refuse options that the caller gives itself; instead: what each is, to end the error."""
     for name in arguments:
         if name in options:
             raise OptionError(f"{name} {instead}")
@@ -112,23 +109,17 @@ def fraction_or(word: str) -> Rule:
 
 
 def schedule(name: str, value: Any) -> tuple[float, ...]:
-    """Noise levels, see `denoiser.sampling`; at most 1,000."""
-    levels = check_schedule(value)
-    whole(1, _MOST_STEPS, "3 are published")("steps", len(levels))
-    return levels
-
-
-def check_schedule(schedule: Iterable[float]) -> tuple[float, ...]:
-    """Return `schedule` as a tuple; OptionError unless times are finite, positive, decreasing."""
+    """Noise levels, see `denoiser.training.euler`; at most 1,000."""
     try:
-        times = tuple(float(t) for t in schedule)
+        times = tuple(float(t) for t in value)
     except (TypeError, ValueError, OverflowError):
         times = ()
     if not times or not all(b < a < math.inf for a, b in pairwise((*times, 0.0))):
         raise OptionError(
-            "a schedule is a decreasing sequence of positive times, such as (0.3, 0.2, 0.1); "
-            f"got {schedule!r}"
+            f"{name} is a decreasing sequence of positive times, such as (0.3, 0.2, 0.1); "
+            f"got {value!r}"
         )
+    whole(1, _MOST_STEPS, "3 are published")("steps", len(times))
     return times
 
 

@@ -17,10 +17,7 @@ _MOST_PARAMETERS = 10_000  # a matrix of so many rows and columns has 0.8 GB
 
 
 def as_points(X: object, dim: int) -> Float64:
-    """`X` as float64 (n, dim), a copy.
-
-    Raises PointsError (a ValueError) unless it is a real (n, dim) array, finite and within [0, 1].
-    """
+    """`X` as float64 (n, dim), a copy; PointsError unless real, finite and within [0, 1]."""
     if hasattr(X, "detach"):  # a torch tensor, perhaps on another device
         X = X.detach().cpu()
     try:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Any, Final, TypeAlias
 
@@ -12,12 +12,9 @@ import numpy.typing as npt
 from fide_plugins.errors import ImageError, OptionError, ValueRangeError
 from fide_plugins.runtime.messages import warn_user
 from fide_plugins.runtime.schema import (
-    check,
     flag,
-    form,
     real,
     saved,
-    values as saved_values,
     whole,
 )
 from fide_plugins.types import Float32, Mask
@@ -87,10 +84,7 @@ def restored(image: Any, values: ValueRange | None) -> Any:
 
 
 def value_range_of(given: Any) -> ValueRange | str | None:
-    """`value_range` as a user gives it: None, "auto", or two numbers, the lower one first.
-
-    Raises OptionError (a ValueError) for anything else.
-    """
+    """`value_range` as a user gives it: None, "auto", or two numbers; OptionError otherwise."""
     if given is None or isinstance(given, ValueRange) or (isinstance(given, str) and given == AUTO):
         return given
     try:
@@ -195,10 +189,7 @@ class Clipping:
     warned: bool = saved(flag, default=False)
 
     def __call__(self, clip: Clip) -> None:
-        """Count images; warns of the first ones.
-
-        Raises ValueRangeError, before anything changes, if the run is on another scale.
-        """
+        """Count images, with a warning of the first ones; ValueRangeError on another scale."""
         self.note(clip)
         if not self.warned:
             self.warned = True
@@ -219,16 +210,6 @@ class Clipping:
             )
         self.images, self.high, self.low = images, high, min(self.low, clip.low)
         self.lit, self.above, self.total = lit, above, total
-
-    def state_dict(self) -> dict[str, Any]:
-        """Everything."""
-        return saved_values(self)
-
-    @classmethod
-    def from_state(cls, state: Mapping[str, Any]) -> Clipping:
-        """What `state_dict` gave; raises ValueError for what it cannot have given."""
-        check(state, form(cls), {}, "clipping")
-        return cls(**state)
 
 
 def warn_clipped(clip: Clip) -> None:

@@ -58,11 +58,9 @@ def _sizes_of(shapes: Sequence[Sequence[int]]) -> str:
 
 
 def one_a_view(name: str, given: object, targets: Sequence[object]) -> list[object]:
-    """A list of masks or weights, one for each target; a single one is that of all.
+    """Masks or weights, one for each target; a single one is that of all, if these have one size.
 
-    name, given: the argument and its value, see `Views.read`; masks themselves are not read.
-
-    Raises ImageError for another number of them, or a single one where the sizes differ.
+    Raises ImageError for another number of them.
     """
     k = len(targets)
     if given is None or (isinstance(given, str) and given == ALPHA):
@@ -85,10 +83,7 @@ def one_a_view(name: str, given: object, targets: Sequence[object]) -> list[obje
 def read_weights(given: object, target: object, size: tuple[int, int], what: str) -> Float32 | None:
     """Weights (H, W) in [0, 1] of a picture, of which the largest is 1; None if all are equal.
 
-    given: a gray picture, any input of `as_target`, of that size, gray times alpha where it is
-        transparent; "alpha" for the alpha channel of the target; None.
-    what: its name in errors.
-
+    given: a gray picture of that size (times its alpha), "alpha" for that of the target, or None.
     Raises ImageError: wrong size, colors, values outside [0, 1], NaN, or zeros everywhere.
     """
     if given is None:
@@ -107,10 +102,7 @@ def read_weights(given: object, target: object, size: tuple[int, int], what: str
 
 
 def joined(a: Float32 | None, b: Float32 | None, what: str) -> Float32 | None:
-    """Product of two weights (H, W), None for ones, of which the largest becomes 1.
-
-    None if all are equal.  Raises ImageError for zeros everywhere.
-    """
+    """Product of two weights (H, W), the largest 1; None if equal.  ImageError for zeros."""
     if a is None and b is None:
         return None
     product = np.asarray((1 if a is None else a) * (1 if b is None else b))
@@ -136,11 +128,7 @@ def _hidden_by(weights: Float32) -> Mask | None:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One view.
-
-    target: (H, W, 3).
-    weights: (H, W) in [0, 1], the largest 1; None: all are.
-    """
+    """One view: target (H, W, 3), and weights (H, W) in [0, 1], None where all are 1."""
 
     target: Float32
     weights: Float32 | None = None
@@ -250,12 +238,11 @@ class Views:
         weights: object = None,
         value_range: object = None,
     ) -> Views:
-        """Views from what a user passes as `target`, `mask`, `weights` and `value_range`.
+        """Views from what a user passes, see `FIDE`.
 
         target: a picture, any input of `as_target`, or a list of them; or views, as they are.
         mask, weights: None; (H, W) in [0, 1], any gray picture, "alpha" for the target's own alpha
             channel; for a list of targets also a list with one of them for each view.
-        value_range: None, two numbers, or "auto".
 
         Raises ImageError, naming the view; OptionError for what is no range.
         """
@@ -289,10 +276,7 @@ class Views:
         return cls(views, listed=listed, values=values)
 
     def retargeted(self, target: object) -> Views:
-        """The same views, weights and range of values, for the next picture, or list of pictures.
-
-        Raises ImageError unless it has the sizes of the first, and values in the range.
-        """
+        """The same views and weights for the next picture, or list; ImageError for other sizes."""
         listed = is_list_of_images(target)
         pictures = _opened(target, self.values is not None)
         sizes = _sizes_of([picture.shape for picture in pictures])
@@ -398,23 +382,6 @@ class Views:
             start += height * width
         return parts
 
-    def batch_of_one(self, image: object, on_clip: OnClip) -> Float32:
-        """Batch (1, H, W, 3) of one candidate, packed, of its image or list of images.
-
-        Raises ImageError.
-        """
-        if not self.listed:
-            is_array = isinstance(image, np.ndarray) and image.shape == self.target.shape
-            batch: object = image[None] if is_array else [image]  # type: ignore[index]  # saves a copy
-        elif not isinstance(image, list | tuple) or len(image) != len(self.views):
-            raise ImageError(
-                f"with {len(self.views)} targets a render is a list of {len(self.views)} images, "
-                f"one for each view, {self.sizes}; got a {type(image).__name__} of another length"
-            )
-        else:
-            batch = [[one] for one in image]
-        return self.as_batch(batch, 1, on_clip)
-
     def unpacked(self, image: Float32 | None) -> Any:
         """Image (H, W, 3) of a candidate; a list of them for a list of targets."""
         if image is None or not self.listed:
@@ -478,14 +445,3 @@ class Views:
             check(picture, array("H", "W", 3, low=0.0, high=1.0), sides, "target")
             if weight is not None:
                 check(weight, array("H", "W", low=0.0, high=1.0), sides, "weights")
-
-
-def views_of(
-    target: object, mask: object, weights: object, value_range: object = None
-) -> Views | None:
-    """Views where a target is optional; ImageError for a mask without a target."""
-    if target is None:
-        if not (mask is None and weights is None and value_range is None):
-            raise ImageError("mask, weights and value_range belong to a target: set target=, too")
-        return None
-    return Views.read(target, mask, weights, value_range)

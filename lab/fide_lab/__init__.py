@@ -3,6 +3,7 @@
 Nothing in `fide_plugins` needs it.
 
 ============  ==================================================================
+`figures`     figures of runs
 `checking`    a look at a renderer before a fit
 `solutions`   distinct candidates of a run, side by side
 `watch`       the page of a run, while it goes on

@@ -12,14 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from fide_lab.figures import Panel, draw_image, figure_as_png, new_figure, plain, thumbnail
 from fide_plugins.errors import ImageError
 from fide_plugins.fitting.pictures import side_by_side
 from fide_plugins.fitting.rendering import Failed, Outcome, Renderer
 from fide_plugins.fitting.workers import default_number, gathered, workers_for
-from fide_plugins.recording.figures import Panel, draw_image, figure_as_png, plain, thumbnail
 from fide_plugins.renderers.naming import described, flat
 from fide_plugins.runtime.messages import counted, duration
-from fide_plugins.runtime.plotting import new_figure
 from fide_plugins.space import Float, Space
 from fide_plugins.space.constraints import constraints_of
 from fide_plugins.types import Float32, Float64

@@ -10,21 +10,21 @@ from typing import Any
 
 import numpy as np
 
-from fide_plugins.errors import CheckpointError
-from fide_plugins.fitting.pictures import best_compared, picture, side_by_side
-from fide_plugins.fitting.result import opened
-from fide_plugins.recording.figures import (
+from fide_lab.figures import (
     INK,
     MUTED,
     Panel,
     draw_image,
     figure_as_png,
+    new_figure,
     plain,
 )
+from fide_plugins.errors import CheckpointError
+from fide_plugins.fitting.pictures import best_compared, picture, side_by_side
+from fide_plugins.fitting.result import opened
 from fide_plugins.recording.parameters import rows, with_std
 from fide_plugins.recording.storage import SOLUTIONS, RunDirectoryError, impossible
 from fide_plugins.runtime import checkpoint
-from fide_plugins.runtime.plotting import new_figure
 from fide_plugins.runtime.schema import IMPOSSIBLE, Schema, array, check
 from fide_plugins.types import Float32, Float64, Solution
 

@@ -84,7 +84,7 @@ class InOptuna:
 
     def __init__(self, kinds: Kinds, target: Any, **settings: Any) -> None:
         self.space = {name: self.distribution(kind) for name, kind in kinds.items()}
-        given = {"seed": 0, "search_space": self.space, **settings}
+        given = {"seed": 0, "search_space": self.space, "proposer": "linear", **settings}
         self.sampler = FIDESampler(target, **given)
         self.study = optuna.create_study(sampler=self.sampler)
 
@@ -154,7 +154,7 @@ def core(
     """Parameters that FIDE alone asks, which are told with their images."""
     opt = FIDE(Space(kinds), target, **{"seed": 0, "memory_mb": 0, **settings})
     while True:
-        X = opt.ask(None if adapter.whole else 1)
+        X = opt.ask(None if adapter.whole else 1)  # whole: without steps, which have other names
         asked = Space(kinds).decode_many(X)
         yield from asked
         images = [render(params) for params in asked]

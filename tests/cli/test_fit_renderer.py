@@ -173,7 +173,7 @@ def test_live_shows_the_fit_while_it_goes_on(
         with urllib.request.urlopen(url + "state.json", timeout=20) as answer:
             seen.append({"url": url, **json.load(answer)})
 
-    monkeypatch.setattr("fide_plugins.cli.progress.open_page", visit)
+    monkeypatch.setattr("fide_lab.cli.watch_command.open_page", visit)
     assert fide("fit", target, *what, "--budget", 20, "--out", "out", "--live", "--json") == 0
     captured = capsys.readouterr()
     (page,) = seen

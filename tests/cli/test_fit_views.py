@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,24 +9,24 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fide_plugins import FIDE
-from fide_plugins.cli.fit_inputs import Renders
 from fide_plugins.errors import ImageError
+from fide_plugins.fitting.one_call import prepare
+from fide_plugins.fitting.stopping import Stopping
 
 from .conftest import fide, last_line, summary
 
 pytestmark = pytest.mark.figures
 
 
-def returning(images: Any) -> Callable[[Any], Any]:
-    """A renderer that always returns these."""
-    return lambda x: images
+def _begin(images: Any, target: Any) -> None:
+    """A fit by a renderer that always returns these."""
+    rules = Stopping.of(1, None, None)
+    prepare(lambda x: images, target, 2, stopping=rules, workers=0, check_first=True)
 
 
 def test_views_need_one_image_each() -> None:
     target = np.zeros((8, 8, 3), np.float32)
     both = [target, target]
-    optimizer = FIDE(2, both)
     for images, message in (
         (target, "must return a list of 2 images, one for each view"),
         ([*both, target], "a list of 2 images, .* not 3 images"),
@@ -35,9 +34,9 @@ def test_views_need_one_image_each() -> None:
         ([target, target[:4]], "the first render gave no image that fits: .*4"),
     ):
         with pytest.raises(ImageError, match=message):
-            Renders(returning(images), 0, None).check_first(optimizer)
-    Renders(returning(both), 0, None).check_first(optimizer)
-    Renders(returning(tuple(both)), 0, None).check_first(optimizer)
+            _begin(images, both)
+    _begin(both, both)
+    _begin(tuple(both), both)
 
 
 @pytest.fixture

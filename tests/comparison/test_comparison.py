@@ -58,7 +58,7 @@ def evaluator(
 
 def losses(made: Evaluator, images: Any, note: bool = False) -> npt.NDArray[np.float64]:
     n = len(images)
-    batch = made.as_batch(n, images, None, None, lambda clip: None)
+    batch = made.as_batch(n, images, None, lambda clip: None)
     return made.evaluate(n, batch, note=note).losses
 
 
@@ -206,7 +206,7 @@ def test_a_mask_leaves_its_pixels_out_of_light_and_loss() -> None:
 def test_views_have_a_light_each() -> None:
     one, other = render(TRUE), render([0.8, 0.2])
     made = evaluator([exposed(one), other], photometric="exposure")  # type: ignore[arg-type]
-    batch = made.as_batch(1, [[one], [other]], None, None, lambda clip: None)
+    batch = made.as_batch(1, [[one], [other]], None, lambda clip: None)
     assert made.evaluate(1, batch).losses[0] < 1e-3
     assert batch is not None
     first, second = made.light_of(np.asarray(batch)[0])

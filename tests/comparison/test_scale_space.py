@@ -184,7 +184,7 @@ def test_of_a_photograph_blurs_that_leave_no_contrast_are_left_out(
         renders = [squares(x, across=across) for x in X]
         optimizer.tell(X, renders if n == 1 else [renders, renders])
     assert optimizer.state.scales.asked
-    assert optimizer.state.scales.blurs == blurs
+    assert optimizer.state.scales.blurs == list(blurs)
 
 
 def test_the_best_renders_of_another_picture_are_forgotten() -> None:

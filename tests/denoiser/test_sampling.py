@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from fide_lab.baselines.image_based import whitened
-from fide_plugins.denoiser.sampling import euler
+from fide_plugins.denoiser.training import euler
 from fide_plugins.options import PAPER_SCHEDULE
 
 MEAN = torch.tensor([0.2, 0.5, 0.9], dtype=torch.float64)

@@ -10,8 +10,7 @@ from torch import Tensor, nn
 
 from fide_lab.baselines.image_based import WhitenedLoss, whitened
 from fide_plugins.denoiser.network import Context
-from fide_plugins.denoiser.sampling import x_prediction
-from fide_plugins.denoiser.training import XLoss, adam_state, fit, load_adam_state
+from fide_plugins.denoiser.training import adam_state, fit, load_adam_state, x_loss, x_prediction
 
 STD = torch.tensor([0.3, 0.1, 0.7])
 
@@ -28,7 +27,7 @@ def test_published_loss_tells_the_noise_of_each_parameter() -> None:
         assert 0.9 < float(times.max()) <= 1
         return gaussian(500)
 
-    assert float(XLoss()(perfect, gaussian(500), STD, torch.Generator())) == 0
+    assert float(x_loss(perfect, gaussian(500), STD, torch.Generator())) == 0
 
 
 @pytest.mark.parametrize("log_mean", [-3.0, 0.0, 3.0])
@@ -62,7 +61,7 @@ def train(epochs: int, batch_size: int, seed: int = 0, lr: float = 0.05) -> tupl
     losses = fit(
         cast(Any, line),  # what `fit` uses of a network
         x_prediction,
-        XLoss(),
+        x_loss,
         torch.optim.Adam(line.parameters(), lr=lr),
         x,
         (x - 0.5)[:, None],

@@ -27,7 +27,7 @@ def quarters(images: Float32) -> Float32:
 
 def test_it_is_what_the_optimizer_uses(render: Any, target: Float32) -> None:
     opt = FIDE(6, target, encoder=quarters, popsize=8, seed=0)
-    assert opt.features_shape == (4, 3)
+    assert tuple(opt.target_tokens.shape) == (4, 3)
     assert opt.encoder.name == "quarters" == opt.options.encoder
     assert opt.encoder.version == "own:quarters"
     np.testing.assert_array_equal(opt.target_tokens, quarters(target[None])[0])
@@ -54,7 +54,7 @@ def test_forms_of_features(form: Encoder, target: Float32) -> None:
 
 def test_one_vector_is_one_token(target: Float32) -> None:
     opt = FIDE(6, target, encoder=lambda images: images.mean(axis=(1, 2)), seed=0)
-    assert opt.features_shape == (1, 3)
+    assert tuple(opt.target_tokens.shape) == (1, 3)
 
 
 @pytest.mark.parametrize(
@@ -81,7 +81,7 @@ def test_a_wrong_encoder_is_refused_before_the_first_render(
 def test_views_of_several_sizes(target: Float32) -> None:
     small = target[:8, :6]
     opt = FIDE(6, [target, small], encoder=quarters, seed=0)
-    assert opt.features_shape == (8, 3)
+    assert tuple(opt.target_tokens.shape) == (8, 3)
     np.testing.assert_array_equal(opt.target_tokens[4:], quarters(small[None])[0])
 
 

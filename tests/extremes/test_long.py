@@ -23,15 +23,15 @@ def resident() -> int:
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="no /proc here")
 @pytest.mark.parametrize("tells", TELLS)
 def test_tells_in_flat_memory(tells: int, tmp_path: Path) -> None:
-    """With features, restarts and lost candidates; the checkpoint does not grow either."""
+    """With images, restarts and lost candidates; the checkpoint does not grow either."""
     rng = np.random.default_rng(0)
     opt = FIDE(2, np.zeros((1, 1, 3)), popsize=20, seed=0)
     sizes, memory = [], []
     while opt.evaluations < tells:
         X = opt.ask(20)
         X = X[rng.random(20) < 0.9]
-        tokens = np.repeat(X.mean(axis=1), 16).reshape(len(X), 1, 16)
-        opt.tell(X, losses=X.mean(axis=1), features=tokens)
+        images = np.repeat(X.mean(axis=1), 3).reshape(len(X), 1, 1, 3)
+        opt.tell(X, images, X.mean(axis=1))
         if opt.state.population.generations % max(1, tells // 2000) == 0:
             opt.save(tmp_path / "checkpoint")
             sizes.append((tmp_path / "checkpoint").stat().st_size)

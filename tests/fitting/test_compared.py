@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from fide_lab import figures
+from fide_lab.figures import Panel
 from fide_plugins import fit, load_run
-from fide_plugins.recording import figures
-from fide_plugins.recording.figures import Panel
 
 _V, _U = np.mgrid[0:24, 0:24] / 23
 PHOTO = np.stack([0.2 + 0.5 * _U, 0.3 + 0.3 * _V, 0.6 - 0.3 * _U], axis=-1)
@@ -59,7 +59,11 @@ def test_what_a_render_does_not_cover_is_the_target_in_all_pictures(
     again = load_run(tmp_path / "run")
     pictures = {panel.name: panel.image for panel in drawn}
     best = [stored, pictures["best"], result.compared, again.compared]
-    best += [one.image for r in (result, again) for one in r._panels() if one.name == "best"]
+    for one in (result, again):
+        drawn.clear()
+        one.plot()
+        best += [panel.image for panel in drawn if panel.name == "best"]
+    assert len(best) == 6
     for image in best:
         np.testing.assert_allclose(image[outside], PHOTO[outside], atol=0.01)
         assert image[covered(result.best.x)][:, 2].max() < 0.5

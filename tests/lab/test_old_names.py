@@ -54,7 +54,6 @@ def test_the_command_line_without_the_laboratory(tmp_path: Path) -> None:
     shown = without_the_laboratory("--help")
     assert shown.returncode == 0
     assert "fide fit " in shown.stdout and "fide run" not in shown.stdout
-    assert without_the_laboratory("list", "optimizers").stdout == "fide\n"
     for words in (["run", "voronoi"], ["fit", "a.png", "--model", "voronoi"]):
         refused = without_the_laboratory(*words)
         assert refused.returncode == 2

@@ -18,6 +18,13 @@ def drawn(popsize: int, seed: int = 0, population: Population | None = None) -> 
     return population
 
 
+def reloaded(population: Population, dim: int) -> Population:
+    """A copy, by way of a state."""
+    copy = Population()
+    copy.load_state_dict(population.state_dict(), {"d": dim})
+    return copy
+
+
 def index_of(population: Population, x: Float64, loss: float) -> int | None:
     """Enter a result; the index of its candidate, None if it is injected."""
     candidate = population.record(x, loss)

@@ -41,7 +41,7 @@ def test_earlier_ones_are_spread_over_the_run() -> None:
 def test_it_goes_on_from_a_saved_state() -> None:
     for n in (0, 3, 10, 11, 333):
         saved, copy = filled(n), Memory(20 * BYTES / 2**20)
-        copy.load_state_dict(saved.state_dict(), SIDES, torch.device("cpu"))
+        copy.load_state_dict(saved.state_dict(), SIDES)
         for i in range(n, n + 50):
             saved.add(sample(i))
             copy.add(sample(i))

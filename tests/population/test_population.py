@@ -8,7 +8,7 @@ import pytest
 from fide_plugins.population import Population, mirrored_pair
 from fide_plugins.types import Float64
 
-from .conftest import drawn, hand_out, index_of
+from .conftest import drawn, hand_out, index_of, reloaded
 
 
 def test_members_are_in_the_order_of_asking_whatever_that_of_telling() -> None:
@@ -49,7 +49,7 @@ def test_proposals_take_the_places_of_the_samples_that_are_reserved_for_them(sav
     assert (len(population.queue), len(population.reserved)) == (2, 3)
     population.add_proposals(*2 * [population.reserved[:1]])
     if saved:
-        population = Population.from_state(population.state_dict(), 1)
+        population = reloaded(population, 1)
     np.testing.assert_array_equal(population.reserved, x[3:])
     population.replace(3, x[3:4] / 2, x[3:4], np.array([True]))
     population.add_proposals(*2 * [population.reserved])
@@ -109,7 +109,7 @@ def test_state_goes_on(told: int) -> None:
     xs += hand_out(original, 2)
     for i in range(told):
         original.record(xs[4 + i], -float(i))
-    copy = Population.from_state(original.state_dict(), 2)
+    copy = reloaded(original, 2)
     outcomes = []
     for population in (original, copy):
         assert (population.remaining, population.drawn) == (2, 12)
@@ -127,7 +127,7 @@ def test_state_goes_on(told: int) -> None:
 def awaited(population: Population, size: int) -> int:
     """How many are awaited in a generation of that size, also after saving."""
     population.size = size
-    copy = Population.from_state(population.state_dict(), 1)
+    copy = reloaded(population, 1)
     assert copy.awaited == population.awaited and len(copy.pending) == len(population.pending)
     return population.awaited
 

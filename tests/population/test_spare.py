@@ -8,7 +8,7 @@ import pytest
 from fide_plugins.population import CandidateRole, Population
 from fide_plugins.types import Float64
 
-from .conftest import drawn, hand_out
+from .conftest import drawn, hand_out, reloaded
 
 
 def drawn_for_a_test(size: int, spare: int, again: int = 0) -> tuple[Population, list[Float64]]:
@@ -86,7 +86,7 @@ def test_what_is_later_than_all_others_is_not_awaited(saved: bool) -> None:
         population.close_generation()
         generation += 1
     if saved:
-        population = Population.from_state(population.state_dict(), 2)
+        population = reloaded(population, 2)
     assert len(population.pending) == 20
     assert 1 <= population.awaited <= 4
 

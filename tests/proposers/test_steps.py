@@ -103,13 +103,13 @@ def test_state(learned: bool) -> None:
     if learned:
         first.left(K, TARGET, STD)
         take(first, 3)
-    second.load_state_dict(first.state_dict(), {"d": D, "T": T, "C": C}, torch.device("cpu"))
+    second.load_state_dict(first.state_dict(), {"d": D, "T": T, "C": C})
     for steps in (first, second):
         assert steps.left(K, TARGET, STD) == (ALL - 3 if learned else ALL)
     np.testing.assert_array_equal(take(first, 4), take(second, 4))
-    broken = {**first.state_dict(), "left": -1}
-    with pytest.raises(ValueError, match="left"):
-        second.load_state_dict(broken, {"d": D, "T": T, "C": C}, torch.device("cpu"))
+    broken = {**first.state_dict(), "remaining": -1}
+    with pytest.raises(ValueError, match="remaining"):
+        second.load_state_dict(broken, {"d": D, "T": T, "C": C})
 
 
 @pytest.mark.parametrize(

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fide_lab.figures import new_figure
 from fide_plugins import Float, Space, fit
 from fide_plugins.cli import main
 from fide_plugins.errors import DependencyError
 from fide_plugins.runtime.machine import EXTRAS, cores, missing
-from fide_plugins.runtime.plotting import new_figure
 
 
 @pytest.fixture(autouse=True)

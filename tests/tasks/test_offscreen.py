@@ -17,7 +17,7 @@ import pytest
 from numpy.typing import NDArray
 
 import fide_tasks
-from fide_plugins.cli import doctor_command
+from fide_lab.cli import doctor_command
 from fide_tasks import robot
 from fide_tasks.offscreen import OffscreenError
 from fide_tasks.robot import Robot

@@ -14,8 +14,7 @@ from fide_plugins.population import TrainingSample
 from fide_plugins.search.mixed import Axes
 from fide_plugins.space import Choice, Float, Int, Space
 from fide_plugins.types import Float32, Float64
-from fide_plugins.uncertainty import LocalEstimate
-from fide_plugins.uncertainty.estimate import aligned
+from fide_plugins.uncertainty.estimate import LocalEstimate, aligned
 from fide_plugins.uncertainty.local_fit import (
     WIDER,
     FitToTarget,

@@ -10,8 +10,7 @@ from fide_plugins.population import TrainingSample
 from fide_plugins.search.mixed import Axes
 from fide_plugins.space import Choice, Float, Int, Space
 from fide_plugins.types import Float64, Solution
-from fide_plugins.uncertainty import LocalEstimate
-from fide_plugins.uncertainty.estimate import independent
+from fide_plugins.uncertainty.estimate import LocalEstimate, independent
 
 Y, X = np.mgrid[0:32, 0:32] / 31
 

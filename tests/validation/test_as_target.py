@@ -74,7 +74,7 @@ def test_a_mask_is_never_lost() -> None:
         (torch.zeros(2, 5, 7), r"1, 3 or 4 channels.*\(2, 5, 7\).*make views: list"),
         (np.zeros(5), r"\(H, W\) or \(H, W, C\).*\(5,\)"),
         (np.zeros((2, 5, 7, 3)), r"\(H, W, C\).*\(2, 5, 7, 3\).*make views: list"),
-        (torch.zeros(1, 3, 5, 7), r"\(1, 3, 5, 7\).*; take it out of its batch of one, image\[0\]"),
+        (torch.zeros(1, 3, 5, 7), r"\(1, 3, 5, 7\).*; take an image out of its batch, image\[0\]"),
         (np.zeros((0, 7, 3)), r"empty.*\(0, 7, 3\)"),
         (np.zeros((5, 7, 3), np.int64), r"uint8 in \[0, 255\].*int64; divide by .*image / 65535"),
         (torch.zeros(5, 7, 3, dtype=torch.int32), r"uint8.*int32; divide by the value .* white"),

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fide_adapters.image_loss import ImageReader, views_of
 from fide_plugins import FIDE, losses
 from fide_plugins.errors import CheckpointError, ImageError, LossError
 from fide_plugins.runtime import checkpoint
 from fide_plugins.types import Float32, Float64
-from fide_plugins.views.views import Views, views_of
+from fide_plugins.views.views import Views
 
 Render = Callable[[Float64], Float32]
 RNG = np.random.default_rng(3)
@@ -66,7 +67,7 @@ def test_tokens_are_joined_along_T(name: str) -> None:
     of_a, of_b = FIDE(3, a[0], encoder=name).encoder, FIDE(3, b[0], encoder=name).encoder
     tokens = opt.encoder([a, b]).numpy()
     first = of_a.shape(32, 40)[0]
-    assert tokens.shape == (2, *opt.features_shape)
+    assert tokens.shape == (2, *opt.target_tokens.shape)
     np.testing.assert_array_equal(tokens[:, :first], of_a(a).numpy())
     np.testing.assert_array_equal(tokens[:, first:], of_b(b).numpy())
     np.testing.assert_array_equal(opt.target_tokens.numpy(), tokens[0])
@@ -155,10 +156,10 @@ def test_a_forged_checkpoint_is_refused(broken: str, tmp_path: Path) -> None:
 
 def test_the_images_of_one_candidate() -> None:
     views = Views.read([A, B])
-    np.testing.assert_array_equal(views.batch_of_one([A, B], print)[0], views.target)
-    np.testing.assert_array_equal(Views.read(A).batch_of_one(A, print)[0], A)
+    np.testing.assert_array_equal(ImageReader(views)([A, B])[0], views.target)
+    np.testing.assert_array_equal(ImageReader(Views.read(A))(A)[0], A)
     with pytest.raises(ImageError, match="a render is a list of 2 images"):
-        views.batch_of_one([A], print)
+        ImageReader(views)([A])
     with pytest.raises(LossError, match="made for one target, and there are 2 views"):
         FIDE(3, [A, B], loss=losses.make("mse", A))
 

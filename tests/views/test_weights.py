@@ -189,16 +189,6 @@ def test_mask_times_weights_must_leave_something() -> None:
         FIDE(3, TARGET, mask=HALF, weights=1 - HALF)
 
 
-def test_features_of_another_mask_are_refused() -> None:
-    one, other = FIDE(3, TARGET, mask=HALF, popsize=4), FIDE(3, TARGET, mask=1 - HALF, popsize=4)
-    images = RNG.random((4, 20, 24, 3), np.float32)
-    tokens = one.encoder(images)
-    X = other.ask()
-    with pytest.raises(ValueError, match="features must be by the optimizer's own encoder"):
-        other.tell(X, losses=np.zeros(4), features=tokens, version=one.encoder.version)
-    one.tell(one.ask(), losses=np.zeros(4), features=tokens, version=one.encoder.version)
-
-
 def test_solved_is_judged_by_what_counts() -> None:
     opt = FIDE(3, TARGET, mask=HALF, popsize=4, seed=0)
     shown = np.where(HALF[..., None] == 1, TARGET, 0)

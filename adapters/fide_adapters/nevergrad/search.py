@@ -14,12 +14,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fide_adapters.image_loss import ImageReader, Result
+from fide_adapters.image_loss import ImageReader, Result, views_of
 from fide_adapters.nevergrad.parametrization import Cube
 from fide_plugins.errors import ImageError, LossError, ProtocolError
 from fide_plugins.types import Float32, Float64
 from fide_plugins.views import Views
-from fide_plugins.views.views import views_of
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE

@@ -34,12 +34,14 @@ class Role(StrEnum):
         another machine rounds otherwise.
     LATE: asked in an earlier generation of the present search, or when all of this one's candidates
         were pending.
+    STEP: a Gauss-Newton step, in no generation.
     INJECTED: all others.  Altered and late ones count, `off_distribution`, where they arrive.
     """
 
     MEMBER = "member"
     ALTERED = "altered"
     LATE = "late"
+    STEP = "step"
     INJECTED = "injected"
 
 
@@ -58,7 +60,6 @@ class Replica:
     def __init__(self, optimizer: FIDE, snap: Callable[[Float64], Float64] = np.copy) -> None:
         self.optimizer = optimizer
         optimizer.state.stay_sharp()  # features and losses of the log are of sharp images
-        optimizer.state.steps = None  # they have no name that means the same to everybody
         self._snap = snap
         self.generation = 0
         """Number of the present generation."""
@@ -76,6 +77,9 @@ class Replica:
     @property
     def size(self) -> int:
         """Entries that make the present generation complete."""
+        state = self.optimizer.state
+        if 0 not in self._batches and state.moves.stage is Stage.SEARCH:
+            return state.search.popsize
         self._open()
         return self._population.size
 
@@ -127,6 +131,21 @@ class Replica:
             z = search.closest(x)
         return Candidate(index, x[0], z[0], proposed=proposed, off_distribution=True)
 
+    def step(self, slot: int) -> Candidate | None:
+        """A Gauss-Newton step for who asks in that slot; None: a generation comes first.
+
+        Its search has no name: what others know of it is its result.
+        """
+        if 0 in self._batches:
+            return None
+        key = (self.generation, slot, 2)
+        seed = np.random.SeedSequence(self.optimizer.seed, spawn_key=key)
+        x = self.optimizer.make_steps(1, np.random.default_rng(seed))
+        if not len(x):
+            return None
+        z = self.optimizer.state.search.closest(x)
+        return Candidate(self._population.drawn, x[0], z[0], CandidateRole.STEP)
+
     def is_candidate(self, slot: int, x: Float64) -> bool:
         """Whether x (d,) is what becomes of the candidate in that slot."""
         return bool(np.abs(self._snap(self.candidate(slot).x) - x).max() <= _ROUNDING)
@@ -140,6 +159,7 @@ class Replica:
         generation: int | None = None,
         slot: int = 0,
         proposed: bool = False,
+        step: bool = False,
         over: bool | None = None,
         guided: bool | None = None,
     ) -> Role:
@@ -148,14 +168,18 @@ class Replica:
         x: (d,) in [0, 1], what was rendered.  tokens: (T, C) of its image, if that is known.
         generation, slot: name of the candidate that was asked; None if it was not.
         proposed: whether the one who asked had it from a proposer.
+        step: whether it was a step.
         over, guided: whether somebody began a search after this generation, and by images; None:
             nobody has drawn the next one yet.
         Raises as `FIDE.tell`, before anything changes.
         """
-        self._open()
         optimizer = self.optimizer
         results = self._evaluate(x, loss, tokens)
-        role, x = self._register(x, generation, slot, proposed)
+        if step and generation == self.generation:
+            role = self._expect_step(x)
+        else:
+            self._open()
+            role, x = self._register(x, None if step else generation, slot, proposed)
         stage, completed = self._stage_of_search(), self._population.generations
         try:
             optimizer.enter(as_points(x[None], optimizer.dim), results, (over, guided))
@@ -180,10 +204,12 @@ class Replica:
     def _open(self) -> None:
         """Draw the candidates of the generation; what is still out of others is forgotten."""
         if 0 not in self._batches:
+            optimizer = self.optimizer
+            optimizer.make_steps(1, np.random.default_rng(0))  # as who had one to ask for
             if not self._population.remaining:  # else it is drawn, and making proposals failed
                 self._population.forget_pending()
-                self.optimizer.draw_generation()
-            self._batches[0] = self._hand_out(self._population, self.optimizer.state.rng)
+                optimizer.draw_generation()
+            self._batches[0] = self._hand_out(self._population, optimizer.state.rng)
 
     def _hand_out(self, population: Population, rng: np.random.Generator) -> list[Candidate]:
         """All candidates of a generation that remain."""
@@ -206,6 +232,13 @@ class Replica:
             beyond and (role is CandidateRole.SPARE or not is_known)
         )
         return (Role.LATE if late else Role.ALTERED), x
+
+    def _expect_step(self, x: Float64) -> Role:
+        """Expect a step x (d,), before a generation or beside it."""
+        if 0 not in self._batches:
+            self.optimizer.make_steps(1, np.random.default_rng(0))  # as who asked for it
+        self.optimizer.hand_out_steps(x[None])
+        return Role.STEP
 
     def _expect_member(self, slot: int) -> Float64:
         """Expect the candidate of a slot; returns it, (d,)."""

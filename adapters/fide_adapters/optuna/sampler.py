@@ -15,7 +15,7 @@ from optuna.samplers import BaseSampler, RandomSampler
 from optuna.study import Study, StudyDirection
 from optuna.trial import FixedTrial, FrozenTrial, Trial, TrialState
 
-from fide_adapters.image_loss import read_result
+from fide_adapters.image_loss import read_result, views_of
 from fide_adapters.optuna.search_space import common
 from fide_adapters.optuna.settings import Settings
 from fide_adapters.optuna.storage import id_of, storage_of, write_attribute, write_image
@@ -23,7 +23,6 @@ from fide_adapters.optuna.study import StudyState
 from fide_adapters.optuna.trials import CONSTRAINTS
 from fide_plugins.errors import ImageError, OptionError, ProtocolError
 from fide_plugins.losses.base import as_losses
-from fide_plugins.views.views import views_of
 
 _log = logging.getLogger(__name__)
 _MOST_STUDIES = 4
@@ -222,7 +221,7 @@ class FIDESampler(BaseSampler):
     def counts(self, study: Study) -> dict[str, int]:
         """How many finished trials counted as what, for the study's latest search space.
 
-        "member", "late" and "altered" were asked by FIDE, "injected" were not; "image" is how many
+        "member", "step", "late" and "altered" were asked by FIDE; "image" is how many
         of these had one; "left out" do not count; "waiting" are behind an unfinished one.
         """
         with self._lock:

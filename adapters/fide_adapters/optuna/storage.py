@@ -35,7 +35,7 @@ class Ask:
 
     optimizer: digest of settings, problem and search space; names are comparable where it is equal.
     generation, slot: name of the candidate.  began, guided: when its search began; by images?
-    proposed: whether a proposer made the candidate.
+    proposed: whether a proposer made the candidate.  step: it is a Gauss-Newton step, in no slot.
     skipped: numbers of unfinished trials that nobody waits for from here on.
     late: numbers of skipped trials that have finished since; they count here.
     problem: digest of target and loss; None without a target.
@@ -50,6 +50,7 @@ class Ask:
     skipped: tuple[int, ...] = ()
     late: tuple[int, ...] = ()
     problem: str | None = None
+    step: bool = False
 
 
 def write_ask(storage: BaseStorage, trial: FrozenTrial, ask: Ask) -> None:
@@ -67,7 +68,7 @@ def read_ask(trial: FrozenTrial) -> Ask | None:
             isinstance(ask.optimizer, str)
             and isinstance(ask.problem, str | None)
             and _are_counts([ask.generation, ask.slot, ask.began, *named])
-            and {type(ask.guided), type(ask.proposed)} == {bool}
+            and {type(ask.guided), type(ask.proposed), type(ask.step)} == {bool}
             and max(len(ask.skipped), len(ask.late)) <= MOST_NAMED
             and all(number < trial.number for number in named)  # it is about earlier trials
         )

@@ -32,7 +32,7 @@ _MOST_OPTIMIZERS = 4
 _MOST_FEATURES = 1000  # trials; none waits as long as that while this sampler is in use
 _YOUNG = 64  # trials; beyond, all workers have read the same seed
 _FIRST_DIM = 64  # parameters that the first trial is expected to have at most
-_OWN = (Role.MEMBER, Role.ALTERED, Role.LATE)  # trials that were asked here
+_OWN = (Role.MEMBER, Role.ALTERED, Role.LATE, Role.STEP)  # trials that were asked here
 _EARLIER = 10**6  # first slot of trials that were created before the generation, but ask only now
 
 Evaluation: TypeAlias = tuple[float, Tensor | None]
@@ -110,7 +110,8 @@ class StudyOptimizer:
         ask = storage.read_ask(trial)
         name: dict[str, Any] = {}
         if ask is not None and ask.optimizer == self.digest:
-            name = {"generation": ask.generation, "slot": ask.slot, "proposed": ask.proposed}
+            own = ("generation", "slot", "proposed", "step")
+            name = {field: getattr(ask, field) for field in own}
         generation = self.replica.generation
         began = self._history.began(self.digest, generation + 1)
         over, guided = (None, None) if began is None else (began[0] == generation + 1, began[1])
@@ -159,11 +160,13 @@ class StudyOptimizer:
     ) -> tuple[Ask, dict[str, Any]]:
         """Record and parameters of trial `number`."""
         slot = number - self._first if number >= self._first else _EARLIER + number
-        candidate = self.replica.newest(slot, self._order.pending(trials, number))
         replica, named = self.replica, (tuple(skipped), tuple(late[:MOST_NAMED]))
+        pending = self._order.pending(trials, number)
+        step = None if pending else replica.step(slot)  # which needs all results
+        candidate = step or replica.newest(slot, pending)
         ask = Ask(
             self.digest, replica.generation, slot, replica.began, replica.guided,
-            candidate.proposed, *named,
+            candidate.proposed, *named, step=step is not None,
         )  # fmt: skip
         return ask, self.space.decode(candidate.x)
 

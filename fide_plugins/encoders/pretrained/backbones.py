@@ -7,8 +7,7 @@ models, so that its published files fit; torchvision itself is not needed.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
@@ -17,21 +16,33 @@ from fide_plugins.encoders.pretrained import weights
 from fide_plugins.encoders.pretrained.weights import Published
 
 _URL = "https://download.pytorch.org/models/"
-
-
-@dataclass(frozen=True, slots=True)
-class Architecture:
-    """The convolutional part of a network: its layers, and where their weights are published."""
-
-    published: Published
-    layers: Callable[[], list[nn.Module]]
+_ALEX, _VGG = "alexnet-owt-7be5be79.pth", "vgg19-dcbb9e9d.pth"
+ALEXNET = Published("AlexNet", _ALEX, _URL + _ALEX, "7be5be79")
+VGG19 = Published("VGG-19", _VGG, _URL + _VGG, "dcbb9e9d")
+_BLOCKS = (2, 64), (2, 128), (4, 256), (4, 512), (4, 512)  # convolutions, and their width
+_PLANS: dict[str, list[tuple[int, ...]]] = {
+    "AlexNet": [
+        (64, 11, 4, 2), (3,), (192, 5, 1, 2), (3,), (384, 3, 1, 1), (256, 3, 1, 1), (256, 3, 1, 1)
+    ],
+    "VGG-19": [one for count, width in _BLOCKS for one in (*[(width, 3, 1, 1)] * count, (2,))],
+}  # fmt: skip
+"""Width, side, stride and padding of a convolution with a ReLU; the side of a pooling."""
 
 
 class Backbone(nn.Module):
-    """A sequence of layers."""
+    """A sequence of layers, those of a plan."""
 
-    def __init__(self, layers: Sequence[nn.Module]) -> None:
+    def __init__(self, plan: Sequence[tuple[int, ...]]) -> None:
         super().__init__()
+        layers: list[nn.Module] = []
+        channels = 3
+        for one in plan:
+            if len(one) == 1:
+                layers.append(nn.MaxPool2d(one[0], 2))
+                continue
+            width, side, stride, padding = one
+            layers += [nn.Conv2d(channels, width, side, stride, padding), nn.ReLU()]
+            channels = width
         self.features = nn.Sequential(*layers)
 
     def taps(self, images: Tensor, after: Sequence[int]) -> list[Tensor]:
@@ -45,57 +56,19 @@ class Backbone(nn.Module):
 
 
 def load(
-    architecture: Architecture,
+    published: Published,
     given: str | os.PathLike[str] | None = None,
     *,
     download: bool = False,
     how: str = "",
 ) -> Backbone:
-    """Network with its published weights, from a user's file or from PyTorch's cache.
+    """`ALEXNET` or `VGG19` with its weights, from a user's file or from PyTorch's cache.
 
     Raises what `Published.find`, `weights.read` and `weights.fill` raise.
     """
-    path = architecture.published.find(given, download=download, how=how)
+    path = published.find(given, download=download, how=how)
     state = weights.read(path)
     with torch.device("meta"):
-        network = Backbone(architecture.layers())
+        network = Backbone(_PLANS[published.network])
     weights.fill(network, state, path, ignored=("classifier.",))
     return network
-
-
-def _alexnet() -> list[nn.Module]:
-    return [
-        *_convolution(3, 64, 11, stride=4, padding=2),
-        nn.MaxPool2d(3, 2),
-        *_convolution(64, 192, 5, padding=2),
-        nn.MaxPool2d(3, 2),
-        *_convolution(192, 384, 3, padding=1),
-        *_convolution(384, 256, 3, padding=1),
-        *_convolution(256, 256, 3, padding=1),
-    ]
-
-
-def _vgg19() -> list[nn.Module]:
-    layers: list[nn.Module] = []
-    channels = 3
-    for count, width in zip((2, 2, 4, 4, 4), (64, 128, 256, 512, 512), strict=True):
-        for _ in range(count):
-            layers += _convolution(channels, width, 3, padding=1)
-            channels = width
-        layers.append(nn.MaxPool2d(2))
-    return layers
-
-
-def _convolution(
-    channels: int, width: int, side: int, *, stride: int = 1, padding: int = 0
-) -> list[nn.Module]:
-    return [nn.Conv2d(channels, width, side, stride, padding), nn.ReLU()]
-
-
-def _published(network: str, stem: str, sha256: str) -> Published:
-    file = f"{stem}-{sha256}.pth"
-    return Published(network, file, _URL + file, sha256)
-
-
-ALEXNET = Architecture(_published("AlexNet", "alexnet-owt", "7be5be79"), _alexnet)
-VGG19 = Architecture(_published("VGG-19", "vgg19", "dcbb9e9d"), _vgg19)

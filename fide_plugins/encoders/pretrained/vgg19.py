@@ -26,7 +26,7 @@ _LAYERS = {
 }
 _HOW = (
     "; encoders.make('vgg19', download=True) fetches them once from "
-    f"{backbones.VGG19.published.url}, 548 MB, and encoders.make('vgg19', weights=PATH) reads a "
+    f"{backbones.VGG19.url}, 548 MB, and encoders.make('vgg19', weights=PATH) reads a "
     "file of yours; the encoder 'dense' needs none"
 )
 

@@ -1,7 +1,7 @@
 """Finds, reads and checks files of network weights.
 
-Only ``download=True`` downloads anything.  Files are read by safetensors, or by PyTorch with
-``weights_only=True``: they run no code.
+Only ``download=True`` downloads anything.  PyTorch reads files with ``weights_only=True``: they
+run no code.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ import torch
 from torch import Tensor, nn
 
 from fide_plugins.errors import WeightsMismatchError, WeightsNotFoundError
-from fide_plugins.runtime.machine import missing
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,14 +74,14 @@ class Published:
 def read(path: Path) -> dict[str, Tensor]:
     """Tensors of a file by name, on the CPU.
 
-    Raises WeightsNotFoundError, WeightsMismatchError for a file that is cut short, damaged or holds
-    anything but tensors, and DependencyError without safetensors for its format.
+    Raises WeightsNotFoundError, and WeightsMismatchError for a file that is cut short, damaged or
+    holds anything but tensors.
     """
     if not path.is_file():
         raise WeightsNotFoundError(f"no file of weights at {path}")
     try:
-        state: Any = _loaded(path)
-    except (OSError, ImportError):
+        state: Any = torch.load(path, map_location="cpu", weights_only=True)
+    except OSError:
         raise
     except Exception as error:  # readers of untrusted bytes raise nearly anything
         raise WeightsMismatchError(
@@ -96,16 +95,6 @@ def read(path: Path) -> dict[str, Tensor]:
             f"{path} must hold tensors by name, a state dict, and holds {type(state).__name__}"
         )
     return dict(state)
-
-
-def _loaded(path: Path) -> Any:
-    if path.suffix != ".safetensors":
-        return torch.load(path, map_location="cpu", weights_only=True)
-    try:
-        from safetensors.torch import load_file
-    except ImportError as error:
-        raise missing("dinov3", f"reading {path.name} needs safetensors", "safetensors") from error
-    return load_file(path)
 
 
 def fill(

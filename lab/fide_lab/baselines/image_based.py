@@ -12,8 +12,7 @@ from torch import Tensor
 
 from fide_lab.baselines.base import ImageBased
 from fide_lab.baselines.libraries import Search, Sequential, anneal, descent
-from fide_plugins.denoiser import Denoise, Network
-from fide_plugins.denoiser.training import standard_normal
+from fide_plugins.denoiser.training import Denoise, Network, standard_normal
 from fide_plugins.errors import OptionError
 from fide_plugins.proposers.diffusion import DiffusionProposer
 from fide_plugins.runtime.threads import timed

@@ -8,5 +8,7 @@ COMMANDS = {
     "compare": "compare optimizers on tasks",
     "report": "write the page of a comparison",
     "tradeoff": "sweep options that trade speed for accuracy",
+    "list": "list tasks, optimizers, encoders, losses",
+    "doctor": "check what can be used on this machine",
 }
 """What each is for."""

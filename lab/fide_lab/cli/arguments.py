@@ -8,7 +8,7 @@ import shlex
 from pathlib import Path
 from typing import Any
 
-from fide_plugins.cli.arguments import add_space_argument, names, path, setting, whole
+from fide_plugins.cli.arguments import add_space_argument, path, setting, whole
 from fide_plugins.cli.terminal import note, plain
 from fide_plugins.errors import OptionError
 from fide_plugins.runtime.messages import counted
@@ -24,6 +24,21 @@ def thresholds(text: str) -> tuple[str, float]:
     if not key or not math.isfinite(number):
         raise argparse.ArgumentTypeError(f"LOSS=VALUE or TASK/LOSS=VALUE, not {text!r}")
     return key, number
+
+
+def names(text: str) -> list[str]:
+    """Parse names separated by commas; those in brackets, ``fide:x0=[0,1]``, are of a name."""
+    found, depth = [""], 0
+    for character in text:
+        depth += (character in "[{") - (character in "]}")
+        if character == "," and not depth:
+            found.append("")
+        else:
+            found[-1] += character
+    found = [name.strip() for name in found]
+    if not all(found):
+        raise argparse.ArgumentTypeError(f"names separated by commas, not {text!r}")
+    return found
 
 
 def add_grid_arguments(

@@ -22,15 +22,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from fide_lab.cli.running import notices, write_figure
 from fide_plugins.cli.arguments import add_space_argument, own_renderer, path, whole
 from fide_plugins.cli.terminal import (
     USAGE_ERRORS,
     note,
-    notices,
     paragraph,
     plain,
     warnings_as_notes,
-    write_figure,
 )
 
 _SIDE = 112  # pixels of a built-in task

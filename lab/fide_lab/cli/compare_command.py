@@ -24,13 +24,14 @@ from fide_lab.cli.arguments import (
     add_grid_arguments,
     add_own_task,
     add_suite_arguments,
+    names,
     options_of,
     suite_plan,
     task_of,
     thresholds,
 )
 from fide_lab.cli.running import execute_all, execute_comparisons
-from fide_plugins.cli.arguments import names, setting, whole
+from fide_plugins.cli.arguments import setting, whole
 from fide_plugins.cli.terminal import note, plain
 from fide_plugins.errors import OptionError
 

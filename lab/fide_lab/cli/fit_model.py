@@ -7,17 +7,30 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fide_plugins.cli.arguments import free_directory, optimizer_options
-from fide_plugins.cli.fit_command import MODELS
-from fide_plugins.cli.progress import page_of
+from fide_lab.cli.watch_command import page_of
+from fide_plugins.cli.arguments import free_directory, optimizer_options, setting, whole
 from fide_plugins.cli.terminal import complain
 from fide_plugins.errors import OptionError
 
 if TYPE_CHECKING:
     from fide_tasks.base import Task
 
+MODELS = {"voronoi": "cells", "spline": "control_points"}
+"""Models, and the option of each that sets its number of elements."""
 _BUDGET, _SIDE = 5000, 224
 _SIGMA0 = 0.03  # around a start that was read off the picture: right but for its details
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of ``fide fit`` with --model."""
+    model = parser.add_argument_group("a model that draws")
+    add = model.add_argument
+    add("--cells", type=whole(1), metavar="N", help="number of cells of voronoi (8)")
+    add("--control-points", type=whole(2), metavar="N", help="number of points of spline (7)")
+    add("--model-set", type=setting, action="append", metavar="KEY=VALUE",
+        help="any other option of the model")  # fmt: skip
+    add("--start", choices=("picture", "center"),
+        help="where fide begins (picture; other optimizers: center)")  # fmt: skip
 
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
@@ -25,6 +38,8 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
     from fide_lab import run as harness
     from fide_lab.cli.running import execute_run
 
+    if args.model not in MODELS:
+        return complain("fide fit", f"--model is {' or '.join(MODELS)}, not {args.model}")
     if len(args.targets) > 1:
         return complain("fide fit", f"--model draws one picture, not {len(args.targets)}")
     image = args.targets[0]

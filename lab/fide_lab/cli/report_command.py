@@ -14,8 +14,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from fide_lab.cli.arguments import thresholds
-from fide_plugins.cli.arguments import names, path
+from fide_lab.cli.arguments import names, thresholds
+from fide_plugins.cli.arguments import path
 from fide_plugins.cli.terminal import USAGE_ERRORS, complain, note, plain, warnings_as_notes
 from fide_plugins.errors import OptionError
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import argparse
 import json
+import logging
 import math
 import os
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,15 +19,15 @@ from fide_plugins.cli.terminal import (
     complain,
     continuation,
     note,
-    notices,
     number,
     paragraph,
     picture_in,
     plain,
     warnings_as_notes,
 )
-from fide_plugins.errors import FideError, RenderError
+from fide_plugins.errors import DependencyError, FideError, RenderError
 from fide_plugins.recording.parameters import lines
+from fide_plugins.runtime.files import write_bytes
 from fide_plugins.runtime.messages import duration
 
 _MOST = 12  # parameters that are printed where a run is stopped
@@ -157,6 +159,33 @@ def _execute(
     except (FideError, OSError) as error:
         note(f"{who}: {failed}: {paragraph(error)}")
         return 1
+
+
+@contextmanager
+def notices(logger: str) -> Iterator[None]:
+    """Within this block, print the messages of a logger to standard error."""
+    log, handler = logging.getLogger(logger), logging.Handler(logging.INFO)
+    handler.emit = lambda record: note(plain(record.getMessage()))  # type: ignore[method-assign]
+    before = log.level, log.propagate
+    log.addHandler(handler)
+    log.setLevel(logging.INFO)
+    log.propagate = False
+    try:
+        yield
+    finally:
+        log.removeHandler(handler)
+        log.setLevel(before[0])
+        log.propagate = before[1]
+
+
+def write_figure(who: str, path: Path, make: Callable[[], bytes]) -> Path | None:
+    """Write a figure to `path`; None, with a note, without matplotlib, which is an extra."""
+    try:
+        write_bytes(path, make())
+    except DependencyError as error:
+        note(f"{who}: {path.name} is left out: {error}")
+        return None
+    return path
 
 
 def _resumable(run: Any) -> bool:

@@ -15,9 +15,9 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from fide_lab.cli.arguments import add_grid_arguments
+from fide_lab.cli.arguments import add_grid_arguments, names
 from fide_lab.cli.running import execute_all, execute_comparisons
-from fide_plugins.cli.arguments import names, whole
+from fide_plugins.cli.arguments import whole
 from fide_plugins.cli.terminal import plain
 
 _SWEPT = ("preset", "popsize", "encoder")

@@ -11,10 +11,13 @@ from __future__ import annotations
 
 import argparse
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
+from fide_lab.watch import serve
 from fide_plugins.cli.arguments import path
-from fide_plugins.cli.progress import open_page
-from fide_plugins.cli.terminal import complain, plain
+from fide_plugins.cli.terminal import complain, note, plain
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -27,8 +30,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
-    from fide_lab.watch import serve
-
     if not args.directory.is_dir():
         return complain("fide watch", f"there is no directory {plain(args.directory)}")
     try:
@@ -43,3 +44,22 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
     finally:
         server.close()
     return 0
+
+
+@contextmanager
+def page_of(out: Path) -> Iterator[None]:
+    """Within this block, the page of a run directory is served and open in the browser."""
+    server, url = serve(out)
+    try:
+        note(f"{url} shows {plain(out)} until the command ends")
+        open_page(url)
+        yield
+    finally:
+        server.close()
+
+
+def open_page(url: str) -> None:
+    """Open the browser, without waiting: some return when their window is closed."""
+    import webbrowser
+
+    threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()

@@ -22,7 +22,6 @@ from typing import Any, Literal
 from fide_lab.compare.plan import TARGETS, Checked, Plan, RunKey, target_file
 from fide_lab.run.kept_target import write_target
 from fide_plugins.recording.directory import TABLES, edited, file_of, results_in, versions_there
-from fide_plugins.recording.figures import as_png
 from fide_plugins.recording.storage import (
     FORMAT,
     RunDirectoryError,
@@ -33,6 +32,7 @@ from fide_plugins.recording.storage import (
     read_run,
 )
 from fide_plugins.runtime import files, machine
+from fide_plugins.validation.image_files import encoded
 
 ERROR = "error.txt"
 """Traceback of a run that failed, in its directory; the next call tries it again."""
@@ -137,7 +137,7 @@ class ComparisonDirectory:
         """Record a call of the command; workers: its processes and cores."""
         self._write({"command": command, "started": now(), "finished": None, **workers})
         for task, target in self._targets.items():
-            files.write_bytes(target_file(self.path, task, "png"), as_png(target.image))
+            files.write_bytes(target_file(self.path, task, "png"), encoded(target.image, ".png"))
 
     def end(self) -> None:
         """Record that the last call has ended or was stopped."""

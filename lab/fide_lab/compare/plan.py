@@ -24,10 +24,11 @@ from fide_lab.run import Keep
 from fide_lab.run.kept_target import KeptTarget
 from fide_lab.run.prepare import kept_of, make_optimizer, make_task, settings_of, target_of
 from fide_lab.run.task import Task, is_function
+from fide_lab.run.versions import of_losses, of_models, of_weights
 from fide_plugins import losses as losses_module
 from fide_plugins.errors import OptionError
 from fide_plugins.learning.hypotheses import with_model
-from fide_plugins.recording.directory import of_files, of_losses, of_models, of_weights
+from fide_plugins.recording.directory import of_files
 from fide_plugins.renderers import FunctionRenderer
 from fide_plugins.runtime.messages import said_once, warn_user
 from fide_plugins.validation.options import check_names, parse_key_value

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fide_lab.compare.results import StoredRun
+from fide_lab.figures import new_figure, plain
 from fide_lab.report import statistics
 from fide_lab.report.panel import Panel, Row, fitted
-from fide_plugins.recording.figures import plain
-from fide_plugins.runtime.plotting import new_figure
 from fide_plugins.types import Float64
 from fide_plugins.validation.images import load
 

@@ -14,7 +14,8 @@ from __future__ import annotations
 
 from fide_lab.run.loop import Keep, Run
 from fide_lab.run.prepare import prepare, run
-from fide_plugins.recording.record import Progress, RunResult
+from fide_lab.run.result import RunResult
+from fide_plugins.recording.record import Progress
 from fide_plugins.recording.signals import Interrupted
 
 __all__ = ["Interrupted", "Keep", "Progress", "Run", "RunResult", "prepare", "run"]

@@ -57,7 +57,7 @@ class Foreign:
             with record.timing(optimizer):
                 return plain, self._fide.tell(X, list(images))
         assert self._evaluator.comparison is not None
-        batch: Any = self._evaluator.as_batch(len(X), list(images), None, None, self._clipping)
+        batch: Any = self._evaluator.as_batch(len(X), list(images), None, self._clipping)
         compared = self._evaluator.comparison.compare(batch)
         with record.timing(optimizer):
             optimizer.tell(X, np.clip(compared.images, 0, 1), compared.losses)

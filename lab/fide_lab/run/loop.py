@@ -16,7 +16,9 @@ from typing import Any
 
 import numpy as np
 
+from fide_lab.figures import Panel
 from fide_lab.run.foreign import ERROR, Foreign
+from fide_lab.run.result import RunResult, Verdict, result_of
 from fide_lab.run.task import Task, TaskInfo
 from fide_plugins import losses as losses_module
 from fide_plugins.errors import FideError, PointsError, RenderError
@@ -25,9 +27,9 @@ from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers import InThisProcess
 from fide_plugins.losses.base import ImageLoss
 from fide_plugins.recording.directory import RunDirectory, note_unsaved
-from fide_plugins.recording.record import Progress, Record, Report, RunResult, Verdict, result_of
+from fide_plugins.recording.record import Progress, Record, Report
 from fide_plugins.recording.signals import Interrupted, Interrupts
-from fide_plugins.recording.storage import remove_checkpoint
+from fide_plugins.recording.storage import CHECKPOINT, TARGET_FILE
 from fide_plugins.types import Float32, Float64, Optimizer
 from fide_plugins.validation.images import as_batch, as_target
 from fide_plugins.validation.points import as_points
@@ -133,12 +135,17 @@ class Run:
             interrupts.block()
             result = self._result(verdict)
             if self._directory is not None:
-                self._directory.write_reference(result)
+                if result.noisy:
+                    self._directory.write_image("reference", result.reference)
                 if self._keep.summary:
-                    self._directory.write_summary(result, self.target)
-                self._directory.write_run("finished", result)
+                    self._write_summary(result)
+                self._directory.write_run("finished", result.totals())
                 if not self._keep.checkpoint:
-                    remove_checkpoint(self._directory.path)
+                    folder = self._directory.path
+                    files = [folder / CHECKPOINT, folder / TARGET_FILE]
+                    for file in [*files, *folder.glob("optimizer-*.ckpt")]:
+                        with suppress(OSError):
+                            file.unlink()
             return result
 
     # -- steps of the loop -------------------------------------------------------------------------
@@ -223,9 +230,17 @@ class Run:
                 self._directory.write_tables(r, r.image)
                 self._directory.write_target(self.target)
         result = self._result(judge(None, self.target, self.loss, r.x_best, r.image))
-        self._directory.write_run(state, result)
+        self._directory.write_run(state, result.totals())
         if state == "interrupted" and self._keep.summary and r.evaluations:
-            self._directory.write_summary(result, self.target)
+            self._write_summary(result)
+
+    def _write_summary(self, result: RunResult) -> None:
+        assert self._directory is not None
+        more = []
+        if result.noisy and result.reference is not None:
+            more = [Panel("reference", result.reference, f"MSE {result.mse:.3g}")]
+        pictures = self.target, result.first_image, result.image
+        self._directory.write_summary(self.record, *pictures, more=more)
 
     def _judge(self) -> Verdict:
         r, reference = self.record, self._info.reference

@@ -13,7 +13,9 @@ from fide_lab import optimizers
 from fide_lab.optimizers import Named
 from fide_lab.run.kept_target import KeptTarget, read_target, same_target, write_target
 from fide_lab.run.loop import Keep, Run
+from fide_lab.run.result import RunResult
 from fide_lab.run.task import Task, TaskInfo, is_own, make_renderer_task, source_of_target
+from fide_lab.run.versions import of_losses, of_models, of_weights, that_count_later
 from fide_lab.suite import read as read_suite
 from fide_plugins import losses as losses_module
 from fide_plugins.errors import CheckpointError, FideError, OptionError, RenderError
@@ -21,11 +23,8 @@ from fide_plugins.learning.hypotheses import with_model
 from fide_plugins.recording.directory import (
     RunDirectory,
     of_files,
-    of_losses,
-    of_models,
-    of_weights,
 )
-from fide_plugins.recording.record import Progress, Record, RunResult
+from fide_plugins.recording.record import Progress, Record
 from fide_plugins.recording.storage import TARGET_FILE, is_saved
 from fide_plugins.runtime.registry import fingerprint_of, own_name
 from fide_plugins.types import Float32, Optimizer
@@ -113,6 +112,7 @@ def prepare(
         if isinstance(optimizer, str):
             versions |= of_files({optimizer: optimizers.source_of(optimizer)})
         versions |= of_weights(searcher) | of_losses([judge, *metrics.values()])
+        versions = that_count_later(versions, optimizer == "fide", judge.name, resumed)
         directory = RunDirectory(
             out, settings, resume=resume, command=command, sources=versions,
             may_change=() if "budget" in optimizers.options(optimizer) else ("budget",),

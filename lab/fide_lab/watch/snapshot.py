@@ -12,11 +12,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from fide_plugins.recording.directory import is_under_way
+from fide_plugins.recording.directory import LOCK
 from fide_plugins.recording.parameters import rows
 from fide_plugins.recording.storage import CHECKPOINT, read_record
 from fide_plugins.renderers.naming import flat
-from fide_plugins.runtime.files import MOST_BYTES, read_regular
+from fide_plugins.runtime.files import MOST_BYTES, is_locked, read_regular
 from fide_plugins.space import Space
 from fide_plugins.validation.values import MAX_PIXELS
 
@@ -63,7 +63,7 @@ class RunFiles:
         if shown["state"] != "running":  # else totals are those of an earlier call
             shown["sentence"] = _text(totals.get("sentence", ""))
             shown["parameters"] = shown["parameters"] or _found(totals)
-        elif is_under_way(self.path) is False:
+        elif is_locked(self.path / LOCK) is False:
             shown["state"] = "stopped without an end; continue with --resume"
         return shown
 

@@ -20,6 +20,10 @@ from fide_plugins.types import Float32, Float64
 pytest.register_assert_rewrite("optuna.testing.pytest_samplers")
 
 
+WHOLE: dict[str, Any] = {"seed": 0, "popsize": 6, "proposer": "linear"}
+"""Whole generations; `test_steps` has steps between them."""
+
+
 class Bench:
     """A soft disk, whose place and color are looked for."""
 
@@ -45,7 +49,7 @@ class Bench:
         return [trial.suggest_float(name, 0.0, 1.0) for name in self.names]
 
     def sampler(self, **settings: Any) -> FIDESampler:
-        return FIDESampler(**{"target": self.target, "seed": 0, "popsize": 6, **settings})
+        return FIDESampler(**{"target": self.target, **WHOLE, **settings})
 
     def objective(self, sampler: FIDESampler) -> Callable[[BaseTrial], float]:
         return lambda trial: sampler.tell_image(trial, self.render(self.suggest(trial)))
@@ -86,7 +90,7 @@ def state_of(study: optuna.Study) -> StudyState:
 
 def asked_by_core(bench: Bench, trials: int, **settings: Any) -> Float64:
     """Candidates (n, 5) of the core, asked by generations as a replica hands them out."""
-    core = FIDE(5, bench.target, **{"seed": 0, "popsize": 6, **settings})
+    core = FIDE(5, bench.target, **{**WHOLE, **settings})
     asked = []
     while core.evaluations < trials:
         X = core.ask()

@@ -69,6 +69,7 @@ def test_a_replica_alone_is_the_optimizer(bench: Bench) -> None:
     But for rounding: a product of several rows need not be that of each row, in the last digit.
     """
     replica, plain = Replica(bench.optimizer()), bench.optimizer()
+    plain.state.stay_sharp()
     seen = set()
     while plain.evaluations < 400:
         seen.add(plain.state.stage.value)
@@ -80,7 +81,7 @@ def test_a_replica_alone_is_the_optimizer(bench: Bench) -> None:
         losses, tokens = zip(*map(bench.look, X), strict=True)
         for slot in range(len(X)):
             assert bench.told(replica, slot) is Role.MEMBER
-        plain.tell(X, losses=losses, features=torch.stack(tokens))
+        plain.enter(X, plain.evaluator.evaluate(len(X), None, losses, torch.stack(tokens)))
     assert {"search", "exchange", "restart"} <= seen
     assert replica.optimizer.best is not None and plain.best is not None
     assert replica.optimizer.best.loss == pytest.approx(plain.best.loss, rel=1e-3)
@@ -145,18 +146,6 @@ def test_what_was_asked_in_an_earlier_search_is_an_injected_candidate(bench: Ben
         for slot in range(replica.size):
             bench.told(replica, slot)
     assert replica.tell(before, *bench.look(before), generation=0, slot=0) is Role.INJECTED
-
-
-def test_what_is_refused_changes_nothing(bench: Bench) -> None:
-    replica, other = Replica(bench.optimizer()), Replica(bench.optimizer())
-    x = replica.candidate(0).x
-    loss, tokens = bench.look(x)
-    with pytest.raises(ValueError, match="features"):
-        replica.tell(x, loss, tokens[:3], generation=0, slot=0)
-    assert replica.tell(x, loss, tokens, generation=0, slot=0) is Role.MEMBER
-    assert other.tell(x, loss, tokens, generation=0, slot=0) is Role.MEMBER
-    one, two = (made.optimizer.state.population for made in (replica, other))
-    assert one.pending.keys() == two.pending.keys()
 
 
 class Blind(ImageGate):

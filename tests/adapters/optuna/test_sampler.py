@@ -40,7 +40,7 @@ def test_point_4_without_a_given_space_it_is_the_same(bench: Bench, names: list[
         return sampler.tell_image(trial, bench.render(np.resize(x, 5)))
 
     study.optimize(objective, n_trials=60)
-    core = FIDE(len(names), bench.target, seed=0)
+    core = FIDE(len(names), bench.target, seed=0, proposer="linear")
     asked = np.array([[trial.params[name] for name in names] for trial in study.trials])
     while core.evaluations < len(asked):
         X = core.ask()  # whole generations, as a replica hands them out

@@ -14,11 +14,11 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from fide_plugins.encoders.pretrained import backbones, weights
-from fide_plugins.encoders.pretrained.backbones import Architecture
+from fide_plugins.encoders.pretrained.weights import Published
 from fide_plugins.errors import WeightsMismatchError, WeightsNotFoundError
 
 C = "c1/1 r "
-RECIPES: dict[str, tuple[Architecture, str, str]] = {
+RECIPES: dict[str, tuple[Published, str, str]] = {
     "alexnet": (
         backbones.ALEXNET,
         "alexnet-owt-7be5be79.pth",

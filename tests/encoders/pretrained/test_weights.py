@@ -72,14 +72,9 @@ def save_old(path: Path) -> None:
     torch.save(STATE, path, _use_new_zipfile_serialization=False)
 
 
-def save_safetensors(path: Path) -> None:
-    pytest.importorskip("safetensors.torch").save_file(STATE, path)
-
-
 FORMATS: list[tuple[str, Callable[[Path], None]]] = [
     ("new.pth", save_zip),
     ("old.pth", save_old),
-    ("w.safetensors", save_safetensors),
 ]
 
 

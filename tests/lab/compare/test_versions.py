@@ -104,7 +104,7 @@ def change(
             write(folder / what, MINE.format(least=0.5) + "# longer: Python caches by size\n")
         elif what == "m.fide":
             shutil.copy(models[1], folder / what)
-        elif what == "the loss mine":
+        elif what == "loss=mine":
             monkeypatch.setattr(Mine, "version", "mine-2")
         else:
             monkeypatch.setattr(Tiny, "weights_digest", "b2")
@@ -121,8 +121,8 @@ def plan(*optimizers: str, **changes: Any) -> Plan:
 PLANS = {
     "mine.py": (plan("mine.py:Search", "random"), "mine.py:Search"),
     "m.fide": (plan("fide:learned=m.fide", "random"), "learned=m.fide"),
-    "the network of tiny": (plan("eki:encoder=tiny:popsize=20"), "encoder=tiny"),
-    "the loss mine": (plan("cma", losses=("mine",)), "loss=mine"),
+    "encoder=tiny": (plan("eki:encoder=tiny:popsize=20"), "encoder=tiny"),
+    "loss=mine": (plan("cma", losses=("mine",)), "loss=mine"),
 }
 
 
@@ -182,7 +182,7 @@ def test_an_unfinished_run_of_fide_with_another_loss_begins_again(
     with monkeypatch.context() as patch:
         patch.setattr(harness.Run, "_judge", fail)
         assert kinds(plan("fide", losses=("mine",))) == ["failed"]
-    change("the loss mine")
+    change("loss=mine")
     assert kinds(plan("fide", losses=("mine",)), resume=True) == ["done"]
 
 
@@ -192,7 +192,7 @@ SETTINGS: dict[str, Any] = {"size": 16, "task_options": {"cells": 2}, "out": "ou
 @pytest.mark.parametrize(
     ("what", "name", "loss", "options", "message"),
     [
-        ("the loss mine", "fide", "mine", {}, "values of the loss mine-1; the one here is mine-2"),
+        ("loss=mine", "fide", "mine", {}, "values of the loss mine-1; the one here is mine-2"),
         ("", "fide", "mse", {"encoder": "tiny"}, "features of the encoder tiny-1-a1"),
         ("", "eki", "mse", {"encoder": "tiny"}, "features of the encoder tiny-1-a1"),
     ],
@@ -211,7 +211,7 @@ def test_a_run_of_another_version_is_not_continued(
 def test_a_run_goes_on_with_a_warning(change: Callable[[str], None]) -> None:
     """The optimizer has the losses that it was told, of both versions."""
     harness.run("voronoi", "cma", "mine", 20, 1, **SETTINGS)
-    change("the loss mine")
-    with pytest.warns(RuntimeWarning, match="the loss mine has changed since the run in out"):
+    change("loss=mine")
+    with pytest.warns(RuntimeWarning, match="loss=mine has changed since the run in out"):
         harness.run("voronoi", "cma", "mine", 30, 1, resume=True, **SETTINGS)
     assert sources(Path("out"))["loss=mine"] == ["version:mine-1", "version:mine-2"]

@@ -11,7 +11,7 @@ from importlib import import_module
 from typing import Any
 
 from fide_plugins.cli.terminal import plain
-from fide_plugins.runtime import laboratory, machine
+from fide_plugins.runtime import machine
 from fide_plugins.runtime.machine import EXTRAS, install_command
 
 
@@ -72,11 +72,12 @@ _SIDE = 32  # pixels, side of the test images
 def names(kind: str) -> list[str]:
     """Names of all tasks, optimizers, encoders or losses."""
     import fide_tasks
+    from fide_lab import optimizers
     from fide_plugins import encoders, losses
 
-    if kind == "optimizers":
-        return list(laboratory.module(kind).names()) if laboratory.is_installed() else ["fide"]
-    lists = {"tasks": fide_tasks, "encoders": encoders, "losses": losses}
+    lists = {
+        "tasks": fide_tasks, "optimizers": optimizers, "encoders": encoders, "losses": losses
+    }  # fmt: skip
     return sorted(lists[kind].names())
 
 
@@ -101,17 +102,15 @@ def _try(kind: str, name: str) -> None:
     import numpy as np
 
     import fide_tasks
+    from fide_lab import optimizers
     from fide_plugins import encoders, losses
-    from fide_plugins.fide import FIDE
 
     image = np.linspace(0, 1, _SIDE * _SIDE * 3, dtype=np.float32).reshape(_SIDE, _SIDE, 3)
     match kind:
         case "tasks":
             fide_tasks.make(name, size=_SIDE).check()
-        case "optimizers" if name == "fide":
-            FIDE(2, image, seed=0).ask()
         case "optimizers":
-            laboratory.module("optimizers").make(name, 2, image, seed=0).ask()
+            optimizers.make(name, 2, image, seed=0).ask()
         case "encoders":
             encoders.make(name)(image[None])
         case "losses":

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import argparse
 
-from fide_plugins.cli.doctor_command import KINDS, WITH_WEIGHTS, names, problems
+from fide_lab.cli.doctor_command import KINDS, WITH_WEIGHTS, names, problems
 from fide_plugins.cli.terminal import note
 
 

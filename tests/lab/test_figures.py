@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from fide_plugins.recording.figures import draw_curve
+from fide_lab.figures import draw_curve
 
 
 def drawn(*losses: float) -> Any:
