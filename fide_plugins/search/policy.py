@@ -42,6 +42,7 @@ from fide_plugins.search.moves import (
     Known,
     Move,
     RandomRestart,
+    Rearrange,
     Refine,
     RelocateGroup,
     RelocateSegment,
@@ -178,7 +179,7 @@ class MovePolicy:
         if len(axes.continuous):
             family.append(HalfTurn())
         if dim > 1:
-            family += [RelocateGroup(), RelocateSegment()]
+            family += [RelocateGroup(), RelocateSegment(), Rearrange()]
         family += [Coarsen(), Refine(), RandomRestart()]
         if axes.discrete is not None:
             family.append(ChangeValue())

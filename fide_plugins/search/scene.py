@@ -45,6 +45,9 @@ _SEEN = 3.0  # times as much again that a control must change
 _ROUNDING = 1e-8  # of the change by a permutation: what rounding may change
 _LITTLE = 0.15  # of that change: what an order of painting may change
 _EQUAL = 2.0  # times the least change: layouts that hold as well
+_PART_SIZES, _MOST_LEFT = (2, 3), 3  # of chains: parameters of a part; leftovers, at the end
+_SHORTEST = 3  # parts of a chain
+_SEAMS = 1e-3  # of the change by a permutation: what the other direction of a chain may change
 _FINISHED = 3  # rounds
 _DECLARED = 4  # nothing is to be found; repeats say what noise is
 
@@ -78,11 +81,15 @@ class Exchangeability(Stateful):
     every divisor L of d; if none holds, the first two and the last two blocks of every length; if
     one of these holds, each further block against the first.
 
+    Parts of a *chain*, such as control points of a curve, show the same image in reverse order, and
+    in no other one.  Chains are tested in the second round.
+
     dim: d.
     channels: leading channels of the tokens in which images are compared; None: all.
     groups: declared blocks; None: to be found; empty: there are none.
     axes: which of them are one parameter or periodic; None: each is a parameter with walls.
     blocks: layout (n, L); None where none is known.
+    chain: layout of its parts, the same; None where none is known.
     ordered: whether the order of blocks shows a little, as painting does.
     """
 
@@ -90,6 +97,7 @@ class Exchangeability(Stateful):
         "round": whole(0, _DECLARED),
         "ordered": flag,
         "blocks": anything,
+        "chain": anything,
         "found": anything,
     }
 
@@ -103,6 +111,7 @@ class Exchangeability(Stateful):
         self.dim, self.channels = dim, channels
         self._axes = axes or Axes(dim)
         self.blocks: Indices | None = None
+        self.chain: Indices | None = None
         self.ordered = False
         self._round = 0
         self._found: Indices | None = None  # tested closely: a pair, or all blocks
@@ -164,7 +173,8 @@ class Exchangeability(Stateful):
         if self._found is not None:  # as far as the exchange of the pair, the other way
             control = mixed.into(2 * x - _rotated(x, self._found))
         rotated = [_rotated(x, layout) for layout in self._layouts()]
-        return np.stack([*[x] * _REPEATS, control, *rotated])
+        reverse = [_reversed(x, layout) for layout in self._chains()]
+        return np.stack([*[x] * _REPEATS, control, *rotated, *reverse])
 
     def learn(
         self,
@@ -183,11 +193,15 @@ class Exchangeability(Stateful):
         changes = _changes(plan, incumbent, samples, self.channels)
         noise, control, tests = _NOISE * changes[0], changes[_REPEATS], changes[_REPEATS + 1 :]
         equal = (plan[_REPEATS + 1 :] == incumbent.x).all(axis=1)  # such a test says nothing
+        tests = np.where(equal, np.inf, tests)
+        tests, reverse = np.split(tests, [len(layouts)])
         exact = noise + _ROUNDING * control
         painted = self._round == 0 or (self._found is not None and self._found.size == self.dim)
         bound = exact + (_LITTLE * control if painted else 0.0)
         seen = bool(np.isfinite(control) and control > _SEEN * noise)
-        holds = (tests <= bound) & ~equal & seen
+        holds = (tests <= bound) & seen
+        if len(reverse) and seen and reverse.min() <= exact + _SEAMS * control:
+            self.chain = self._chains()[int(reverse.argmin())]
         self._round += 1
         if self._round == _FINISHED:
             assert self._found is not None
@@ -237,9 +251,20 @@ class Exchangeability(Stateful):
             if all(len(together(block)) == len(block) for block in layout)
         ]
 
+    def _chains(self) -> list[Indices]:
+        """Layouts of chains that the present round tests, which end before the leftovers."""
+        if self._round != 1:
+            return []
+        shapes = ((n, self.dim - left) for n in _PART_SIZES for left in range(_MOST_LEFT + 1))
+        return [
+            np.arange(used).reshape(-1, n)
+            for n, used in shapes
+            if used % n == 0 and used >= _SHORTEST * n
+        ]
+
     def load_state_dict(self, state: Plain, sides: Sides | None = None) -> None:
         """Put back what `state_dict` gave; ValueError for what it cannot have given."""
-        for name in ("blocks", "found"):
+        for name in ("blocks", "chain", "found"):
             within = maybe(array(name, "length", kind="i", low=0, high=self.dim - 1))
             check(state[name], within, {}, f"exchangeability[{name!r}]")
         if state["round"] == 2 and state["found"] is None:
@@ -261,6 +286,13 @@ def _rotated(x: Float64, layout: Indices) -> Float64:
     """Copy of x (d,) in which each block has the values of the next one."""
     y = x.copy()
     y[layout] = x[np.roll(layout, -1, axis=0)]
+    return y
+
+
+def _reversed(x: Float64, layout: Indices) -> Float64:
+    """Copy of x (d,) with its blocks in reverse order."""
+    y = x.copy()
+    y[layout] = x[layout[::-1]]
     return y
 
 

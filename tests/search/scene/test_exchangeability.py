@@ -85,7 +85,23 @@ def test_nothing_is_found_where_every_parameter_has_a_meaning_of_its_own(
 ) -> None:
     mixing = np.random.default_rng(100).standard_normal((16, dim))
     found, _ = find(dim, lambda x: np.tanh(mixing @ x), seed=seed)
-    assert found.blocks is None
+    assert found.blocks is None and found.chain is None
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+@pytest.mark.parametrize("seed", range(5))
+def test_a_chain_looks_the_same_in_both_directions(seed: int, noise: float) -> None:
+    """Bumps between the neighbors of seven points, and a brightness."""
+
+    def image(x: Float64) -> Float64:
+        points = x[:14].reshape(7, 2)
+        between = (points[1:] + points[:-1]) / 2
+        seen: Float64 = (0.5 + x[14]) * additive(between.ravel(), contiguous(6, 2))
+        return seen
+
+    found, _ = find(15, image, seed=seed, noise=noise)
+    assert found.blocks is None and found.chain is not None
+    np.testing.assert_array_equal(found.chain, contiguous(7, 2))
 
 
 def test_painted_blocks_are_found_and_known_to_be_ordered() -> None:
