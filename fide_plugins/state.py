@@ -154,7 +154,8 @@ class State:
         loss, told = (loss, told) if finite else (np.inf, np.inf)
         candidate = self.population.record(x, told)
         if candidate is None:
-            number = self.population.drawn - 1
+            number = self.population.drawn
+            self.population.drawn += 1
             exact = x = self.search.axes.clipped(x[None])[0]  # what is rendered at x
         else:
             number, exact = candidate.index, candidate.x  # x may have lost digits on its way
