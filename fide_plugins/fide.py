@@ -23,7 +23,6 @@ from fide_plugins.population import (
     CandidateRole,
     Memory,
     Population,
-    TrainingSample,
     columns,
 )
 from fide_plugins.proposers import make_proposer, make_steps
@@ -238,19 +237,31 @@ class FIDE(Saved):
         generation, candidates are drawn for the next one (`State.preview_search`).
         Who asks for a number may get Gauss-Newton steps before a generation (`proposers.forward`).
         """
-        population = self.state.population
+        state, population = self.state, self.state.population
         n = None if n is None else whole_number("n", n, 1)
-        with timed(self.state.times, "search"):
-            steps = np.empty((0, self.dim))
-            if n is not None:
-                steps = self.make_steps(n, self.state.rng)
-            elif not population.remaining:
+        with timed(state.times, "search"):
+            steps = np.empty((0, self.dim)) if n is None else self.make_steps(n, state.rng)
+            if not population.remaining and (n is None or n > len(steps)):
                 self.draw_generation()
             rest = population.remaining if n is None else n - len(steps)
-            X = np.concatenate([steps, self._ask(rest)]) if rest else steps
+            proposer, due = state.proposer, len(population.reserved) and state.samples
+            lazy = proposer is not None and proposer.lazy and rest > len(population.queue)
+            if proposer is not None and lazy and due:  # line 8, before it is asked
+                samples, state.samples = sorted(state.samples, key=BY_INDEX), []
+                state.learned += samples
+                with timed(state.times, "train"):
+                    proposer.update(*columns(samples), state.search.std)
+            if rest:
+                self._make_next(rest)  # which may fail, before anything is handed out
+            X = np.empty((rest, self.dim))
+            for i in range(rest):
+                if not population.remaining:
+                    self.draw_generation()
+                    self._make_next(rest - i)
+                X[i] = population.hand_out().x
             if len(steps):
                 self.hand_out_steps(steps)  # last: asking for the rest may fail
-            return X
+            return np.concatenate([steps, X])
 
     @one_at_a_time
     @one_thread
@@ -261,27 +272,6 @@ class FIDE(Saved):
                 self.hand_out_steps(step)
                 return step
         return self.ask()
-
-    def _ask(self, n: int) -> Float64:
-        """Candidates (n, d) of this generation and of those that follow."""
-        population = self.state.population
-        if not population.remaining:
-            self.draw_generation()
-        state, proposer = self.state, self.state.proposer
-        due = n > len(population.queue) and len(population.reserved) and state.samples
-        if proposer is not None and proposer.lazy and due:  # line 8, before it is asked
-            samples, state.samples = sorted(state.samples, key=BY_INDEX), []
-            state.learned += samples
-            with timed(state.times, "train"):
-                proposer.update(*columns(samples), state.search.std)
-        self._make_next(n)  # which may fail, before anything is handed out
-        X = np.empty((n, self.dim))
-        for i in range(n):
-            if not population.remaining:
-                self.draw_generation()
-                self._make_next(n - i)
-            X[i] = population.hand_out().x
-        return X
 
     def draw_generation(self, first: Float64 | None = None) -> None:
         """Queue a generation; spare candidates where the present one needs exactly its own.
@@ -394,7 +384,7 @@ class FIDE(Saved):
         return steps.new_ones(search.place_proposals(x, z), state.population.is_pending)
 
     def hand_out_steps(self, x: Float64) -> None:
-        """Count steps (m, dim) as asked."""
+        """Count steps x (m, dim) as asked."""
         state = self.state
         assert state.steps is not None
         state.steps.remaining = max(0, state.steps.remaining - len(x))
@@ -500,9 +490,16 @@ class FIDE(Saved):
         if state.moves.stage is not Stage.SEARCH:
             state.finish_stage(members, losses, samples, target)
             return
+        (learned, state.learned), proposer = (state.learned, []), state.proposer
         try:
-            with timed(state.times, "train"):
-                self._train(samples, target)  # line 8
+            with timed(state.times, "train"):  # line 8
+                guarded = samples or state.gate.guarded  # which judges the generation as a whole
+                if proposer is not None and guarded and (samples or learned):
+                    _, tokens, told = columns(sorted(samples + learned, key=BY_INDEX))
+                    state.gate.note_images(tokens, target, told)
+                    del tokens
+                if proposer is not None and samples:
+                    proposer.update(*columns(samples), state.search.std)
         finally:  # a generation that taught nothing is not lost
             state.update_search(members, losses)  # line 10
             over, guided = decision  # go on with the search, or elsewhere where it is over
@@ -513,20 +510,6 @@ class FIDE(Saved):
                 over = self.options.restarts != "none" and state.is_over(guided=guided)
             if over:
                 state.finish_search(guided=self.options.restarts == "moves" and guided)
-
-    def _train(self, samples: list[TrainingSample], target: Tensor) -> None:
-        """Line 8: the proposer learns from what was evaluated since the last time."""
-        state = self.state
-        learned, state.learned = state.learned, []
-        if state.proposer is None or not (samples or learned):
-            return
-        everything = sorted(samples + learned, key=BY_INDEX)
-        if samples or state.gate.guarded:  # which judges the generation as a whole
-            _, tokens, losses = columns(everything)
-            state.gate.note_images(tokens, target, losses)
-            del tokens
-        if samples:
-            state.proposer.update(*columns(samples), state.search.std)
 
     def recommend(self) -> Float64:
         """Mean (dim,) of the search distribution that found the best point (line 12).

@@ -29,7 +29,7 @@ import argparse
 import json
 import sys
 from collections.abc import Callable
-from contextlib import nullcontext, suppress
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -54,7 +54,7 @@ from fide_plugins.cli.terminal import (
     plain,
     warnings_as_notes,
 )
-from fide_plugins.errors import DependencyError, FideError, ImageError, OptionError, RenderError
+from fide_plugins.errors import DependencyError, FideError, OptionError, RenderError
 from fide_plugins.runtime import laboratory
 from fide_plugins.validation.options import positive_fraction
 
@@ -191,7 +191,8 @@ def _execute(args: argparse.Namespace, command: list[str]) -> int:
             live = laboratory.module("cli.watch_command").page_of if args.live else nullcontext
             with live(out):
                 result = fitting.execute()
-            _keep_pictures(fitting, args.workers, result, out)
+            if laboratory.is_installed():
+                laboratory.module("solutions").keep_pictures(fitting, args.workers, result, out)
         except FitInterrupted as stop:
             saved = [f" after {stop.result.evaluations} renders, saved in {plain(out)}"]
             unsaved = [f"\n{paragraph(one)}" for one in getattr(stop, "__notes__", ())]
@@ -277,35 +278,6 @@ def _renderer(args: argparse.Namespace) -> tuple[Any, Any, Any]:
     # the program is stopped before its worker, so that its output is known
     limit = None if args.timeout is None or args.workers == 0 else found[2] + 5
     return *found[:2], limit
-
-
-def _keep_pictures(fitting: Fitting, workers: int | None, result: Any, out: Path) -> None:
-    """Render further solutions for `fide solutions`; those that fail stay without an image."""
-    import numpy as np
-
-    from fide_plugins.fitting.pictures import as_compared, picture
-    from fide_plugins.fitting.rendering import Rendered
-    from fide_plugins.fitting.workers import gathered, workers_for
-    from fide_plugins.recording.storage import SOLUTIONS
-    from fide_plugins.runtime import checkpoint
-
-    X = np.array([one.x for one in result.solutions[1:]])
-    if not len(X):
-        return
-    number = 0 if workers == 0 else min(fitting.workers.number, len(X))
-    pool = workers_for(fitting.renderer, number, None, fitting.timeout)
-    outcomes = list(gathered(pool, X, fitting.timeout))
-    pool.close()
-    kept: dict[str, list[Any]] = {"x": [], "images": []}
-    for x, outcome in zip(X, outcomes, strict=True):
-        if isinstance(outcome, Rendered):
-            with suppress(ImageError):  # no image that fits is a render that failed, too
-                image = as_compared(result.optimizer, outcome.image)
-                kept["images"].append(picture(result.optimizer, image))
-                kept["x"].append(x)
-    if kept["x"]:
-        state = {name: np.array(arrays) for name, arrays in kept.items()}
-        checkpoint.write(out / SOLUTIONS, "solutions", state)
 
 
 def _summary(result: Any, out: Path) -> dict[str, Any]:

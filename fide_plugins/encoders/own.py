@@ -18,21 +18,9 @@ import torch
 
 from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.errors import FeaturesError
-from fide_plugins.runtime.registry import Referent, name_of, tried_on
+from fide_plugins.runtime.registry import name_of, tried_on
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.types import Float32
-
-_REFERENT = Referent(
-    "encoder",
-    "a function of images",
-    "write FILE.py:NAME or module:NAME, such as features.py:blocks",
-)
-
-
-def referenced(reference: str) -> Callable[..., Any]:
-    """Return the encoder at ``FILE.py:NAME`` or ``module:NAME``; raises OptionError."""
-    place, name = _REFERENT.split(reference)
-    return _REFERENT.attribute(_REFERENT.load(place), place, name)
 
 
 class OwnEncoder(PatchEncoder):

@@ -210,9 +210,7 @@ _CLUTTER = (
 
 
 def clutter_of(backgrounds: Any, clutter: object, seed: int) -> Clutter | None:
-    """What `learn` composes renders with; None: nothing.  See `learn` for the arguments.
-
-    seed: of generated pictures.
+    """What `learn` composes renders with, see its arguments; None: nothing.
 
     Raises OptionError, also for a folder without pictures, and ImageError for a file that is none.
     """

@@ -38,12 +38,8 @@ class Emulator(Trainable):
     arXiv:1709.07871).  Such a network is a conditional neural field (Sajjadi et al. 2022,
     arXiv:2111.13152).
 
-    size: height and width of the images.
-    periodic: (d,), axes that wrap around.
-    blocks: (n, L), axes of each exchangeable block; there must be some.
-    seed: of the initial weights.
-
-    Places are pixels, counted row by row.
+    size: (H, W) of the images, whose pixels are the places, row by row.
+    periodic: (d,), axes that wrap around.  blocks: (n, L), exchangeable axes, n >= 1.
     """
 
     blocks: Tensor

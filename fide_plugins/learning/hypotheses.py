@@ -41,8 +41,6 @@ def posterior_of(
 
     None without a model, and, with a warning, for a picture unlike all renders.  Raises OptionError
     for a model of another space or for several views, ImageError for another aspect.
-
-    target: (H, W, 3), or a list with it.  What a mask hides of it is seen, too.
     """
     if learned is None:
         return None

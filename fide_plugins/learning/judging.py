@@ -177,9 +177,7 @@ def scores(samples: Float64, truth: Float64, blocks: Indices) -> Float64:
 
     A model may be sure of what no image shows, so the truth of held-out renders decides: the
     logarithm of the samples' share in its quarter of an axis, less that of the uniform density, is
-    0 on average where nothing was learned (Gneiting and Raftery 2007).
-
-    blocks: (m, L), axes of exchangeable blocks, whose samples count together.
+    0 on average where nothing was learned (Gneiting and Raftery 2007).  Blocks count together.
     """
     counts = np.stack([(_quarters(samples) == k).sum(axis=0) for k in range(_BINS)], axis=1)
     p = (counts + 0.5) / (len(samples) + 0.5 * _BINS)  # (d, bins), never 0

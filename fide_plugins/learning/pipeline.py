@@ -90,13 +90,7 @@ class LearnProgress:
 
 @dataclass(frozen=True)
 class _Plan:
-    """All that is decided before anything is rendered.
-
-    shape, size: (H, W) of an image, and of what the network sees.
-    seconds, start: time limit, and the monotonic clock when it began; None: no limit.
-    emulates: whether a learned renderer is trained, too.
-    The rest: arguments of `learn`, checked.
-    """
+    """All that is decided before anything is rendered: arguments of `learn`, checked."""
 
     renderer: BatchRenderer
     shape: tuple[int, int]

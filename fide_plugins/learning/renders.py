@@ -43,12 +43,9 @@ _ASPECT = 0.02  # relative difference of height / width that is rounding
 
 @dataclass(frozen=True)
 class BatchRenderer:
-    """What renders several points.
+    """What renders several points: a function of one, or an object with `render(X)`.
 
-    source: a function of one point, or an object with `render(X)` for a batch.  It gets arrays of
-        its own, since it may change them.
-    space: names of the parameters; None: the function gets a point of the cube.
-    dim, name: number of parameters; of the function, or of the task.
+    It gets arrays of its own, since it may change them.
     shape: height and width of its images; others of that aspect are taken, too.  None: of any.
     coverage: whether images are kept with what they cover, see `covered`.
     """
@@ -252,13 +249,11 @@ class RenderStore:
         000000.npz, ...   x (n, d) float64 and images (n, H, W, 3) uint8; failed renders are left
                           out; a fourth channel has the coverage, and colors are multiplied by it
 
-    folder: made if it is missing.
-    settings: plain values that define the renders: "dim", "size", "seed" and more.
-    fingerprint: of the renderer, see `runtime.registry`.
+    settings: plain values that define the renders; fingerprint: of the renderer, of which another
+        one is a warning.
 
-    Warns if that has changed, and no version says which images these are.  Raises OptionError if
-    the folder holds other renders, naming the difference; OSError if it cannot be written, or has
-    lost its settings.
+    Raises OptionError if the folder holds other renders, naming the difference; OSError if it
+    cannot be written, or has lost its settings.
     """
 
     def __init__(

@@ -55,20 +55,16 @@ def is_held_out(n: int) -> Mask:
 
 @dataclass
 class Training:
-    """Training of a network: AdamW, a short warm-up and a cosine schedule.
+    """Training of a network by AdamW (Loshchilov and Hutter 2019), a short warm-up and a cosine.
 
-    (Loshchilov and Hutter 2019, arXiv:1711.05101.)  A pass sees every training render once, in an
-    order that depends on the seed and the pass alone, so that training goes on from a checkpoint as
-    if it had not been interrupted.  The weights of the pass with the lowest held-out loss are kept.
+    A pass sees every training render once, in an order that depends on the seed and the pass alone,
+    so that training goes on from a checkpoint as if it had not been interrupted.  At the end the
+    network, changed in place on its device, has the weights of the lowest held-out loss.
 
-    network: changed in place, on its device; at the end it has the best weights.  An emulator needs
-        images as they are: augment="none".
     x, images: renders (n, d) and (n, H, W, 3).
     passes: at most.  seconds: at most, for the schedule too; None: no limit.
-    augment: how much images are changed, see `augmentation`.
-    clutter: what renders are composed with, again in each pass; those that judge once.
-    curve: see `Curve`.  passed: passes done.  spent: seconds that they took.
-    best: lowest held-out loss of a pass; +inf before the first.
+    augment, clutter: how images are changed in each pass; those that judge once by clutter alone.
+    curve: see `Curve`.  passed: passes done.  spent: seconds.  best: lowest held-out loss.
     """
 
     network: Trainable

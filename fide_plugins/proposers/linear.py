@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -16,19 +16,13 @@ from torch import Tensor
 
 from fide_plugins.proposers.base import Proposer
 from fide_plugins.proposers.feature_buffer import FeatureBuffer, explained, ridge
-from fide_plugins.runtime.schema import Plain, Schema, Sides, anything, array, check, each, flag
+from fide_plugins.runtime.schema import Plain, Schema, Sides, Stateful, anything, array, each, flag
 from fide_plugins.types import Float64, Indices
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
 
 
-_SCHEMA: Schema = {
-    "x": array("n", "d"),
-    "losses": array("n"),
-    "buffers": each(anything),
-    "screening": flag,
-}
 _TINY = 1e-300
 _SMALLEST_ENERGY = 1e-30
 _SMALLEST_SCALE = 1e-9  # of ranks: the best alone counts long before
@@ -49,7 +43,7 @@ class _Regression(NamedTuple):
 
 
 @dataclass(eq=False)
-class LinearProposer(Proposer):
+class LinearProposer(Stateful, Proposer):
     """Ridge regression from features to parameters, weighted by rank.
 
     Each proposal starts from an evaluated candidate, the *source* i, and corrects it by what is
@@ -83,6 +77,12 @@ class LinearProposer(Proposer):
         `proposers.screening`.
     """
 
+    SCHEMA: ClassVar[dict[str, Schema]] = {
+        "x": array("n", "d"),
+        "losses": array("n"),
+        "buffers": each(anything),
+        "screening": flag,
+    }
     dim: int
     capacity: int
     channel_subsets: tuple[int | None, ...] = (None,)
@@ -192,18 +192,7 @@ class LinearProposer(Proposer):
         )  # fmt: skip
         return _Regression(w, local.coefficients, local.explained, local.slopes)
 
-    def state_dict(self) -> dict[str, Any]:
-        """The buffer."""
-        buffers = [buffer.state_dict() for buffer in self._buffers]
-        found = {"x": self._x, "losses": self._losses, "screening": self.screening}
-        return found | {"buffers": buffers}
-
     def load_state_dict(self, state: Plain, sides: Sides | None = None) -> None:
         """Put back what `state_dict` gave; ValueError if it is none."""
         self._fits = {}
-        own = {"d": self.dim}
-        check(state, _SCHEMA, own, "proposer")
-        self.screening = state["screening"]
-        self._x, self._losses = state["x"], state["losses"]
-        for buffer, saved in zip(self._buffers, state["buffers"], strict=True):
-            buffer.load_state_dict(saved, {**(sides or {}), "n": own["n"]})
+        super().load_state_dict(state, {**(sides or {}), "d": self.dim})

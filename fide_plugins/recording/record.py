@@ -79,12 +79,9 @@ _FINENESS: Schema = {
 class Record:
     """History of a run; it can be saved and restored.
 
-    losses, seconds: one entry for each evaluation.
-    improvements: evaluations that were the best so far; metrics: one entry for each improvement.
-    path: (dim,), point of each improvement; shorter for a run that an earlier version began.
-    pending: (m, dim), candidates that were asked and not yet told.
-    failures: renders that gave no image, where a run survives them.
-    fineness: state of a `fitting.schedule`; None where all renders are of one kind.
+    losses, seconds: of each evaluation.  improvements: those that were the best so far; metrics,
+    path: of each of these.  pending: (m, dim), candidates that were asked and not yet told.
+    failures: renders that gave no image.  fineness: state of a `fitting.schedule`, if there is one.
     """
 
     losses: array[float] = saved(numbers("e", low=None), default_factory=lambda: array("d"))

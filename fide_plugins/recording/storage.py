@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
 
 FORMAT = 2
-SOLUTIONS = "solutions.ckpt"
-"""Images of further solutions."""
 TARGET_FILE = "target.ckpt"
 """The target of a run of the lab, to the last bit."""
 _OF_PICTURES = {

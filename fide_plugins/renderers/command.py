@@ -201,10 +201,8 @@ _SHELL = ("|", "||", "&", "&&", ";", ">", ">>", "<", "2>", "2>&1", "&>")
 class Template:
     """Command line for the parameters of a space.
 
-    Raises OptionError (a ValueError) if it is empty or cannot be split, has no ``{out}``, has a
-    placeholder that is neither a parameter nor a file, a format that a value of a choice does not
-    fit, an ending of the image that cannot be read, holds words for a shell, or if its program is
-    not on this machine.
+    Raises OptionError (a ValueError) for what can be known before its program runs: words, names,
+    formats, and a program that is not on this machine.
     """
 
     def __init__(self, text: str, space: Space) -> None:

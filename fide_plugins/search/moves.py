@@ -251,6 +251,57 @@ def segment(dim: int, rng: np.random.Generator) -> Indices:
     return np.arange(start, start + length)
 
 
+_REPLACED = 0.4  # of the candidates have a new part, the others another order
+_NEW = 0.15  # standard deviation of a new part, from between its neighbors
+
+
+class Rearrange(Move):
+    """Parts of a chain in another order, or one of them taken out and put in elsewhere.
+
+    A local optimum, of a curve for instance, covers much of the picture in a wrong order, or has
+    too many parts in one place and none in another.  So some neighbors are reversed (2-opt; Croes
+    1958) or rotated, or one part is dropped, and a new one comes between two others or beyond the
+    first or the last one, near where the chain goes.
+    """
+
+    name = "rearrange"
+    prior_gain = 0.5
+
+    def possible(self, known: Known) -> bool:
+        """Whether there is a chain, and no blocks are exchangeable: their order is nothing."""
+        return known.exchangeability.chain is not None and known.exchangeability.blocks is None
+
+    def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
+        """Copies (n, d) of the incumbent, each with its parts rearranged."""
+        chain, x = known.exchangeability.chain, known.copies(n)
+        assert chain is not None
+        for row in x:
+            change = _replaced if rng.random() < _REPLACED else _reordered
+            row[chain] = change(row[chain], rng)
+        return known.axes.inside(x)
+
+
+def _reordered(parts: Float64, rng: np.random.Generator) -> Float64:
+    """Parts (n, q) of which some neighbors are reversed or rotated."""
+    length = int(rng.integers(2, len(parts) + 1))
+    first = int(rng.integers(0, len(parts) - length + 1))
+    chosen = slice(first, first + length)
+    turn = int(rng.integers(1, length)) if rng.random() < 1 / 2 else 0
+    parts = parts.copy()
+    parts[chosen] = np.roll(parts[chosen], turn, axis=0) if turn else parts[chosen][::-1]
+    return parts
+
+
+def _replaced(parts: Float64, rng: np.random.Generator) -> Float64:
+    """Parts (n, q) of which one is new: between two others, or beyond the first or the last."""
+    left = np.delete(parts, int(rng.integers(len(parts))), axis=0)
+    place = int(rng.integers(len(parts)))
+    beyond = np.concatenate([2 * left[:1] - left[1:2], left, 2 * left[-1:] - left[-2:-1]])
+    ends = place in (0, len(left))
+    new = beyond[0 if not place else -1] if ends else (left[place - 1] + left[place]) / 2
+    return np.insert(left, place, new + _NEW * rng.standard_normal(parts.shape[1]), axis=0)
+
+
 _LONGEST = 0.58  # half a turn in units of the box, for a range of 310 degrees
 
 

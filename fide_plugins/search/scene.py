@@ -45,6 +45,9 @@ _SEEN = 3.0  # times as much again that a control must change
 _ROUNDING = 1e-8  # of the change by a permutation: what rounding may change
 _LITTLE = 0.15  # of that change: what an order of painting may change
 _EQUAL = 2.0  # times the least change: layouts that hold as well
+_PART_SIZES, _MOST_LEFT = (2, 3), 3  # of chains: parameters of a part; leftovers, at the end
+_SHORTEST = 3  # parts of a chain
+_SEAMS = 1e-3  # of the change by a permutation: what the other direction of a chain may change
 _FINISHED = 3  # rounds
 _DECLARED = 4  # nothing is to be found; repeats say what noise is
 
@@ -78,11 +81,14 @@ class Exchangeability(Stateful):
     every divisor L of d; if none holds, the first two and the last two blocks of every length; if
     one of these holds, each further block against the first.
 
-    dim: d.
+    Parts of a *chain*, such as control points of a curve, show the same image in reverse order, and
+    in no other one.  Chains are tested in the second round.
+
+    axes: of the cube.
     channels: leading channels of the tokens in which images are compared; None: all.
     groups: declared blocks; None: to be found; empty: there are none.
-    axes: which of them are one parameter or periodic; None: each is a parameter with walls.
     blocks: layout (n, L); None where none is known.
+    chain: layout of its parts, the same; None where none is known.
     ordered: whether the order of blocks shows a little, as painting does.
     """
 
@@ -90,26 +96,26 @@ class Exchangeability(Stateful):
         "round": whole(0, _DECLARED),
         "ordered": flag,
         "blocks": anything,
+        "chain": anything,
         "found": anything,
     }
 
     def __init__(
         self,
-        dim: int,
+        axes: Axes,
         channels: int | None,
         groups: Sequence[Sequence[int]] | None = None,
-        axes: Axes | None = None,
     ) -> None:
-        self.dim, self.channels = dim, channels
-        self._axes = axes or Axes(dim)
+        self._axes, self.dim, self.channels = axes, axes.dim, channels
         self.blocks: Indices | None = None
+        self.chain: Indices | None = None
         self.ordered = False
         self._round = 0
         self._found: Indices | None = None  # tested closely: a pair, or all blocks
         if groups is not None:
             self._round = _DECLARED
             if len(groups):
-                self.blocks, self.ordered = check_groups(groups, dim), True
+                self.blocks, self.ordered = check_groups(groups, self.dim), True
 
     @property
     def finished(self) -> bool:
@@ -164,7 +170,8 @@ class Exchangeability(Stateful):
         if self._found is not None:  # as far as the exchange of the pair, the other way
             control = mixed.into(2 * x - _rotated(x, self._found))
         rotated = [_rotated(x, layout) for layout in self._layouts()]
-        return np.stack([*[x] * _REPEATS, control, *rotated])
+        reverse = [_reversed(x, layout) for layout in self._chains()]
+        return np.stack([*[x] * _REPEATS, control, *rotated, *reverse])
 
     def learn(
         self,
@@ -183,11 +190,15 @@ class Exchangeability(Stateful):
         changes = _changes(plan, incumbent, samples, self.channels)
         noise, control, tests = _NOISE * changes[0], changes[_REPEATS], changes[_REPEATS + 1 :]
         equal = (plan[_REPEATS + 1 :] == incumbent.x).all(axis=1)  # such a test says nothing
+        tests = np.where(equal, np.inf, tests)
+        tests, reverse = np.split(tests, [len(layouts)])
         exact = noise + _ROUNDING * control
         painted = self._round == 0 or (self._found is not None and self._found.size == self.dim)
         bound = exact + (_LITTLE * control if painted else 0.0)
         seen = bool(np.isfinite(control) and control > _SEEN * noise)
-        holds = (tests <= bound) & ~equal & seen
+        holds = (tests <= bound) & seen
+        if len(reverse) and seen and reverse.min() <= exact + _SEAMS * control:
+            self.chain = self._chains()[int(reverse.argmin())]
         self._round += 1
         if self._round == _FINISHED:
             assert self._found is not None
@@ -237,9 +248,20 @@ class Exchangeability(Stateful):
             if all(len(together(block)) == len(block) for block in layout)
         ]
 
+    def _chains(self) -> list[Indices]:
+        """Layouts of chains that the present round tests, which end before the leftovers."""
+        if self._round != 1:
+            return []
+        shapes = ((n, self.dim - left) for n in _PART_SIZES for left in range(_MOST_LEFT + 1))
+        return [
+            np.arange(used).reshape(-1, n)
+            for n, used in shapes
+            if used % n == 0 and used >= _SHORTEST * n
+        ]
+
     def load_state_dict(self, state: Plain, sides: Sides | None = None) -> None:
         """Put back what `state_dict` gave; ValueError for what it cannot have given."""
-        for name in ("blocks", "found"):
+        for name in ("blocks", "chain", "found"):
             within = maybe(array(name, "length", kind="i", low=0, high=self.dim - 1))
             check(state[name], within, {}, f"exchangeability[{name!r}]")
         if state["round"] == 2 and state["found"] is None:
@@ -261,6 +283,13 @@ def _rotated(x: Float64, layout: Indices) -> Float64:
     """Copy of x (d,) in which each block has the values of the next one."""
     y = x.copy()
     y[layout] = x[np.roll(layout, -1, axis=0)]
+    return y
+
+
+def _reversed(x: Float64, layout: Indices) -> Float64:
+    """Copy of x (d,) with its blocks in reverse order."""
+    y = x.copy()
+    y[layout] = x[layout[::-1]]
     return y
 
 
@@ -294,6 +323,7 @@ def _changes(
 _LARGEST_COST = 1e300
 
 
+@dataclass(eq=False)
 class Removal(Stateful):
     """What each exchangeable block of one incumbent contributes to the image; one render a block.
 
@@ -304,14 +334,10 @@ class Removal(Stateful):
     costs: (n,).  owned: (n, T); both are empty before a round.
     """
 
-    SCHEMA: ClassVar[dict[str, Schema]] = {
-        "costs": array("blocks"),
-        "owned": array("blocks", "tokens", low=0.0),
-    }
-
-    def __init__(self) -> None:
-        self.costs: Float64 = np.empty(0)
-        self.owned: Float64 = np.empty((0, 0))
+    costs: Float64 = saved(array("blocks"), default_factory=lambda: np.empty(0))
+    owned: Float64 = saved(
+        array("blocks", "tokens", low=0.0), default_factory=lambda: np.empty((0, 0))
+    )
 
     @property
     def known(self) -> bool:
@@ -425,8 +451,8 @@ class Sensitivity(Stateful):
     overlap of what they change says which form a group.  That depends on the renderer more than on
     the candidate: one round serves for all incumbents.
 
-    dim: d.  channels: leading channels of the tokens in which changes are seen; None: all.
-    axes: those of one parameter, such as a choice, are moved together; None: each is a parameter.
+    axes: of the cube; those of one parameter, such as a choice, are moved together.
+    channels: leading channels of the tokens in which changes are seen; None: all.
     """
 
     SCHEMA: ClassVar[dict[str, Schema]] = {
@@ -435,10 +461,9 @@ class Sensitivity(Stateful):
         "pairs": array("p", "p", low=0.0),
     }
 
-    def __init__(self, dim: int, channels: int | None, axes: Axes | None = None) -> None:
-        self.dim, self.channels = dim, channels
-        self._axes = axes or Axes(dim)
-        p = len(self._axes.axes_of)
+    def __init__(self, axes: Axes, channels: int | None) -> None:
+        self._axes, self.dim, self.channels = axes, axes.dim, channels
+        p = len(axes.axes_of)
         self.rounds = 0
         self._overlap = np.zeros((p, p))  # sum over all samples
         self._pairs = np.zeros((p, p))  # how often each pair was seen together

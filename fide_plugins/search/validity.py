@@ -10,7 +10,11 @@ from fide_plugins.errors import OptionError
 from fide_plugins.search.cma_es import CMAES
 from fide_plugins.search.mixed import Axes
 from fide_plugins.space import Space
-from fide_plugins.space.constraints import constraints_not_stored, constraints_of
+from fide_plugins.space.constraints import (
+    Constraints,
+    constraints_not_stored,
+    constraints_of,
+)
 from fide_plugins.types import Float64, Mask
 
 _ROUNDS = 200  # in which invalid samples are drawn again
@@ -33,14 +37,7 @@ def validity_of(
     constraints = constraints_of(space, function)
     if constraints is None:
         return None
-    validity = Validity(
-        constraints,
-        constraints.explain,
-        axes.clipped,
-        seed,
-        is_known=function is not constraints_not_stored,
-        is_own=function is not None,
-    )
+    validity = Validity(constraints, axes, seed)
     if guess is not None and not validity.allows(guess):
         raise OptionError(
             f"x0 is not valid: it violates {constraints.explain(guess)}; give a valid one, or "
@@ -52,27 +49,14 @@ def validity_of(
 class Validity:
     """Which points of the cube may be rendered.
 
-    violation: by how much points (n, d) violate the constraints, (n,); 0 where they are valid.
-    explain: which constraints a point violates.
-    place: points (n, d) as they are rendered: in the cube, integers and choices in their cells.
     seed: of the search for valid points, which draws from no other generator.
-    is_own: whether a function of the user's decides: then fewer points are tried, see `start`.
     """
 
-    def __init__(
-        self,
-        violation: Callable[[Float64], Float64],
-        explain: Callable[[Float64], str],
-        place: Callable[[Float64], Float64],
-        seed: int,
-        *,
-        is_known: bool = True,
-        is_own: bool = False,
-    ) -> None:
-        self._violation, self._explain = violation, explain
-        self._place, self._seed = place, seed
-        self._batch, self._enough = (_BATCH_OWN, _ENOUGH_OWN) if is_own else (_BATCH, _ENOUGH)
-        self.is_known = is_known
+    def __init__(self, constraints: Constraints, axes: Axes, seed: int) -> None:
+        self._constraints, self._place, self._seed = constraints, axes.clipped, seed
+        own = constraints.function is not None  # then fewer points are tried, see `start`
+        self._batch, self._enough = (_BATCH_OWN, _ENOUGH_OWN) if own else (_BATCH, _ENOUGH)
+        self.is_known = constraints.function is not constraints_not_stored
         """Whether the constraints can be computed; not before a user's function is given again."""
         self.checked = self.rejected = 0
         """Candidates that were checked, and those that were not valid."""
@@ -84,7 +68,7 @@ class Validity:
 
     def of(self, X: Float64) -> Mask:
         """Which points X (n, d) are valid, (n,)."""
-        return self._violation(X) <= 0.0
+        return self._constraints(X) <= 0.0
 
     def allows(self, x: Float64) -> bool:
         """Whether x (d,) may be valid, as far as the constraints are known."""
@@ -162,7 +146,7 @@ class Validity:
         while len(tried) < _TRIED and (violations <= 0).sum() < self._enough:
             batch = self._place(rng.random((self._batch, len(x))))
             tried = np.concatenate([tried, batch])
-            violations = np.concatenate([violations, self._violation(batch)])
+            violations = np.concatenate([violations, self._constraints(batch)])
         valid = tried[violations <= 0]
         if not len(valid):
             return self._repaired(tried, violations, rng)
@@ -177,13 +161,13 @@ class Validity:
         for _ in range(_REPAIRED // _POPSIZE):
             z = search.sample(_POPSIZE, rng)
             x = self._place(z)
-            losses = self._violation(x)
+            losses = self._constraints(x)
             if losses.min() <= 0:
                 found: Float64 = x[losses.argmin()]
                 return found
             search.tell(z, losses + np.linalg.norm(z - x, axis=1), np.zeros(_POPSIZE, bool))
         raise OptionError(
             f"no valid point was found: of {len(tried):,} random ones none is valid, and the best "
-            f"violates {self._explain(best)}; loosen that, widen the ranges of the parameters, or "
-            "give a valid x0"
+            f"violates {self._constraints.explain(best)}; loosen that, widen the ranges of the "
+            "parameters, or give a valid x0"
         )

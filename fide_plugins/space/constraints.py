@@ -275,7 +275,7 @@ class Constraints:
     """
 
     def __init__(self, space: Space | None, function: Callable[[Any], object] | None) -> None:
-        self._space, self._function = space, function
+        self._space, self.function = space, function
 
     def violations(self, x: Float64) -> dict[str, float]:
         """By how much x (d,) violates each constraint, by name; 0 where it holds.
@@ -284,8 +284,8 @@ class Constraints:
         """
         params: Any = x.copy() if self._space is None else self._space.decode(x)
         found = {} if self._space is None else self._space.violations(params)
-        if self._function is not None:
-            name = name_of(self._function)
+        if self.function is not None:
+            name = name_of(self.function)
             found["constraints" if name == "<lambda>" else name] = self._own(params)
         return found
 
@@ -300,9 +300,9 @@ class Constraints:
         return ", ".join(f"{n} ({texts[n]})" if n in texts else n for n in violated)
 
     def _own(self, params: Any) -> float:
-        assert self._function is not None
+        assert self.function is not None
         try:
-            returned: Any = self._function(params)
+            returned: Any = self.function(params)
         except ProtocolError:
             raise
         except Exception as error:

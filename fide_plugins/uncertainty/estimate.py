@@ -235,11 +235,9 @@ def _apart(u: Float64, which: Mask, periodic: Mask | None) -> Float64:
 class LocalEstimate:
     """How sure the parameters of a solution are, computed when it is first read.
 
-    x: (d,), the solution.
     samples: evaluated candidates, some perhaps twice; empty once `std` was read.
-    target: (T, C), tokens; channels: so many leading ones count; None: all.
-    axes, discrete, blocks: periodic axes; (d,), those of integers and choices; (n, L), exchangeable
-        ones; None: there are none.
+    target: (T, C), tokens, of which so many leading `channels` count; None: all.
+    discrete: (d,), axes of integers and choices.  blocks: (n, L), exchangeable ones.
     """
 
     x: Float64

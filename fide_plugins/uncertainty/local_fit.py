@@ -65,11 +65,9 @@ class LocalFit:
 
 
 class FitToTarget(NamedTuple):
-    """The linear model of a solution, beside the target of which the solution was sought.
+    """The linear model of a solution, beside the target (f',) of which it was sought.
 
-    fit: the model.
-    target: (f',), its features.
-    f: how many of them are independent; f' is less where they are turned into fewer.
+    f: how many features are independent; f' is less where they are turned into fewer.
     farthest: squared, by how much features of the run differ from the solution's at most.
     as_far: (d,), how far away the truth may be where the model says nothing; None: in the cube.
     """

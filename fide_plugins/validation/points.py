@@ -128,8 +128,7 @@ def standard_deviations(value: Any, dim: int) -> float | Float64:
 def starting_point(value: object, dim: int, space: Any = None) -> Float64:
     """`value` as float64 (dim,), for None the center of the cube.
 
-    space: a `Space`, with which it may be a dictionary of parameters.  Raises PointsError for what
-    is no point of the cube, SpaceError for a dictionary that is not of the space.
+    space: with it, `value` may be a dictionary of parameters.  Raises PointsError, SpaceError.
     """
     if value is None:
         return np.full(dim, 0.5)

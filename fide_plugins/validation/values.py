@@ -106,10 +106,7 @@ def range_of(pictures: Iterable[tuple[Pixels, Mask | None]]) -> ValueRange:
     """Range for `value_range="auto"`: of the pictures, with half of their span beyond both ends.
 
     A picture without negative values has a range without them.  The span of a single value c is
-    |c|, or 1 if c is 0.
-
-    pictures: (H, W, C) each, and its hidden pixels (H, W).  Transparent ones do not count.
-    Raises ImageError for NaN and infinity.
+    |c|, or 1 if c is 0.  Hidden and transparent pixels do not count.  ImageError for NaN, infinity.
     """
     lows, highs = [], []
     for pixels, hidden in pictures:

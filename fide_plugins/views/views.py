@@ -214,9 +214,8 @@ class View:
 
 
 class Views:
-    """The views of a scene.
+    """The views of a scene, at least one.
 
-    views: at least one.
     listed: whether the target was a list, so that renders are, too.
     plain: whether there is one view without weights, given as such.
     values: those of a user's images that are 0 and 1 here; None: 0 and 1.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,15 +20,19 @@ from fide_lab.figures import (
     new_figure,
     plain,
 )
-from fide_plugins.errors import CheckpointError
-from fide_plugins.fitting.pictures import best_compared, picture, side_by_side
+from fide_plugins.errors import CheckpointError, ImageError
+from fide_plugins.fitting.fitting import Fitting
+from fide_plugins.fitting.pictures import as_compared, best_compared, picture, side_by_side
+from fide_plugins.fitting.rendering import Rendered
 from fide_plugins.fitting.result import opened
+from fide_plugins.fitting.workers import gathered, workers_for
 from fide_plugins.recording.parameters import rows, with_std
-from fide_plugins.recording.storage import SOLUTIONS, RunDirectoryError, impossible
+from fide_plugins.recording.storage import RunDirectoryError, impossible
 from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.schema import IMPOSSIBLE, Schema, array, check
 from fide_plugins.types import Float32, Float64, Solution
 
+_KIND, _NAME = "solutions", "solutions.ckpt"
 _MOST = 24  # lines of parameters in the figure
 _SCHEMA: Schema = {
     "x": array("n", "d", low=0.0, high=1.0),
@@ -35,12 +40,33 @@ _SCHEMA: Schema = {
 }
 
 
+def keep_pictures(fitting: Fitting, workers: int | None, result: Any, out: Path) -> None:
+    """Render further solutions for `fide solutions`; those that fail stay without an image."""
+    X = np.array([one.x for one in result.solutions[1:]])
+    if not len(X):
+        return
+    number = 0 if workers == 0 else min(fitting.workers.number, len(X))
+    pool = workers_for(fitting.renderer, number, None, fitting.timeout)
+    outcomes = list(gathered(pool, X, fitting.timeout))
+    pool.close()
+    kept: dict[str, list[Any]] = {"x": [], "images": []}
+    for x, outcome in zip(X, outcomes, strict=True):
+        if isinstance(outcome, Rendered):
+            with suppress(ImageError):  # no image that fits is a render that failed, too
+                image = as_compared(result.optimizer, outcome.image)
+                kept["images"].append(picture(result.optimizer, image))
+                kept["x"].append(x)
+    if kept["x"]:
+        state = {name: np.array(arrays) for name, arrays in kept.items()}
+        checkpoint.write(out / _NAME, _KIND, state)
+
+
 def _read_images(directory: Path) -> list[tuple[Float64, Float32]]:
     """Points (d,) and their images (H, W, 3), as far as `fide fit` stored any."""
-    path = directory / SOLUTIONS
+    path = directory / _NAME
     if not path.exists():
         return []
-    state: Any = checkpoint.read(path, "solutions")
+    state: Any = checkpoint.read(path, _KIND)
     try:
         check(state, _SCHEMA, {}, "solutions")
     except IMPOSSIBLE as error:

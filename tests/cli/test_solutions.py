@@ -18,9 +18,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from fide_lab.cli.solutions_command import own_encoder
 from fide_lab.solutions import read
 from fide_plugins import FIDE, Solution, fit, images
-from fide_plugins.encoders.own import referenced
 from fide_plugins.errors import CheckpointError
 from fide_plugins.renderers import FunctionRenderer
 
@@ -127,7 +127,7 @@ def test_a_run_with_an_encoder_of_one_s_own(
     target: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     Path("features.py").write_text(ENCODERS)
-    render, encoder = FunctionRenderer("scene.py:render"), referenced("features.py:blocks")
+    render, encoder = FunctionRenderer("scene.py:render"), own_encoder("features.py:blocks")
     result = fit(
         render,
         target,

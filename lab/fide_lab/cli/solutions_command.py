@@ -14,11 +14,21 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Callable
 from typing import Any
 
 from fide_lab.cli.running import write_figure
 from fide_plugins.cli.arguments import path, whole
 from fide_plugins.cli.terminal import USAGE_ERRORS, complain, number, plain
+from fide_plugins.runtime.registry import Referent
+
+
+def own_encoder(reference: str) -> Callable[..., Any]:
+    """Return the encoder at ``FILE.py:NAME`` or ``module:NAME``; raises OptionError."""
+    form = "write FILE.py:NAME or module:NAME, such as features.py:blocks"
+    known = Referent("encoder", "a function of images", form)
+    place, name = known.split(reference)
+    return known.attribute(known.load(place), place, name)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,11 +44,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
     from fide_lab import solutions
-    from fide_plugins.encoders.own import referenced
     from fide_plugins.recording.parameters import rows, solutions_as_data
 
     try:
-        encoder = None if args.encoder is None else referenced(args.encoder)
+        encoder = None if args.encoder is None else own_encoder(args.encoder)
         found = solutions.read(args.directory, args.k, encoder)
         if not found.solutions:
             return complain("fide solutions", f"{args.directory} has no image yet; let it run")

@@ -18,6 +18,7 @@ from fide_plugins.search.moves import (
     Known,
     Move,
     RandomRestart,
+    Rearrange,
     Refine,
     RelocateGroup,
     RelocateSegment,
@@ -42,6 +43,7 @@ MOVES: dict[str, tuple[Callable[[], Move], bool]] = {
     "half turn": (HalfTurn, False),
     "relocate group": (RelocateGroup, True),
     "relocate segment": (RelocateSegment, False),
+    "rearrange": (Rearrange, False),
     "change value": (ChangeValue, False),
     "coarsen": (Coarsen, False),
     "refine": (Refine, False),
@@ -63,12 +65,13 @@ def scene(*, blocks: bool) -> Known:
         sigma0=np.full(dim, 1 / 6),
         target=target,
         channels=3,
-        exchangeability=Exchangeability(dim, 3, groups, axes),
-        sensitivity=Sensitivity(dim, 3, axes),
+        exchangeability=Exchangeability(axes, 3, groups),
+        sensitivity=Sensitivity(axes, 3),
         axes=axes,
         values=Values(axes),
         blurs=True,
     )
+    known.exchangeability.chain = None if blocks else np.array([[0], [4], [5]])
     x = np.linspace(0.1, 0.9, dim) if blocks else SPACE.layout.snap(np.full((1, dim), 0.3))[0]
     known.incumbent = TrainingSample(0, x, 0.5 * target, 1.0, 0)
     known.optima.note(known.incumbent, known.exchangeability.distance)

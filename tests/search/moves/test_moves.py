@@ -10,6 +10,7 @@ from fide_plugins.search.moves import (
     HalfTurn,
     Known,
     RandomRestart,
+    Rearrange,
     RelocateGroup,
     RelocateSegment,
     Split,
@@ -37,8 +38,8 @@ def scene(x: Float64, x_star: Float64, *, exchangeable: bool = True) -> Known:
         sigma0=SIGMA0,
         target=sample(target, x_star).tokens,
         channels=3,
-        exchangeability=Exchangeability(8, 3, BLOCKS.tolist() if exchangeable else []),
-        sensitivity=Sensitivity(8, 3),
+        exchangeability=Exchangeability(Axes(8), 3, BLOCKS.tolist() if exchangeable else []),
+        sensitivity=Sensitivity(Axes(8), 3),
         axes=Axes(8),
     )
     known.incumbent = rendered(known, x, x_star)
@@ -140,6 +141,21 @@ def test_neighbors_are_turned_and_mirrored_by_turns(rng: np.random.Generator) ->
         assert len(changed) <= 3 and np.ptp(changed) == len(changed) - 1, "neighbors"
         kinds.add("".join(np.where(turned, "t", "m").tolist()))
     assert kinds == {"t", "m", "tm", "mt", "tmt"}
+
+
+def test_parts_of_a_chain_are_reordered_or_replaced(rng: np.random.Generator) -> None:
+    values = np.arange(1, 9) / 10
+    known = scene(values, STAR, exchangeable=False)
+    assert not Rearrange().possible(known)
+    known.exchangeability.chain = BLOCKS
+    assert Rearrange().possible(known)
+    X = Rearrange().draw(known, 1000, rng)
+    parts = {tuple(np.rint(10 * x).astype(int).tolist()) for x in X if set(x) == set(values)}
+    assert (7, 8, 5, 6, 3, 4, 1, 2) in parts, "reversed"
+    assert (3, 4, 1, 2, 5, 6, 7, 8) in parts, "two are exchanged"
+    assert (5, 6, 7, 8, 1, 2, 3, 4) in parts, "rotated"
+    assert all(part[0] % 2 and part[0] + 1 == part[1] for part in parts), "parts stay whole"
+    assert min(len(set(x) & set(values)) for x in X) == 6, "at most one part is new"
 
 
 def test_new_searches_begin_in_different_places(rng: np.random.Generator) -> None:
