@@ -7,7 +7,8 @@
 Every run (scene, target, seed, configuration) is one line of the output file, appended when it is
 done; a second call does what is missing. A run ends when its scene is solved or its budget spent.
 A configuration is an optimizer with options, `--configuration NAME OPTIMIZER key=value ...`.
-`results/coarse.jsonl` has FIDE with and without coarse to fine, `results/many.jsonl` rivals where
+`results/coarse.jsonl` has FIDE with and without coarse to fine, `results/lines.jsonl` thin lines
+before and after the move *rearrange*. `results/many.jsonl` rivals where
 there are 160 parameters and more.
 """
 
