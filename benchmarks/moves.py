@@ -2,11 +2,13 @@
 
     python benchmarks/moves.py voronoi8 robot --targets 40-49 --seeds 0-1 --out runs/moves.jsonl
     python benchmarks/moves.py --table runs/moves.jsonl
+    python benchmarks/moves.py --losses benchmarks/results/many.jsonl
 
 Every run (scene, target, seed, configuration) is one line of the output file, appended when it is
 done; a second call does what is missing. A run ends when its scene is solved or its budget spent.
 A configuration is an optimizer with options, `--configuration NAME OPTIMIZER key=value ...`.
-`results/coarse.jsonl` has FIDE with and without coarse to fine, `results/many.jsonl` rivals where
+`results/coarse.jsonl` has FIDE with and without coarse to fine, `results/lines.jsonl` thin lines
+before and after the move *rearrange*. `results/many.jsonl` rivals where
 there are 160 parameters and more.
 """
 
@@ -59,8 +61,10 @@ SCENES = {
     "robot": Scene("robot", {}, 2e-5, 5000),
     "spline": Scene("spline", {"target": "random"}, 1e-3, 5000),
     "two_cells": Scene("voronoi", {"variant": "distance"}, 1e-6, 2000),
+    "triangles10": Scene("triangles", {"triangles": 10}, 1e-3, 5000, 64),
     "triangles30": Scene("triangles", {"triangles": 30}, 1e-3, 5000, 64),
     "triangles100": Scene("triangles", {"triangles": 100}, 1e-3, 5000, 64),
+    "triangles400": Scene("triangles", {"triangles": 400}, 1e-3, 5000, 64),
     "sheets": Scene("sheets", {}, 1e-4, 4000),
     "lamps": Scene("lamps", {}, 1e-5, 5000, 64),
     "sprites": Scene("sprites", {}, 1e-3, 5000, 64),
@@ -76,6 +80,9 @@ def main() -> None:
     arguments = parse_arguments()
     if arguments.table:
         print(table(read(arguments.table)))
+        return
+    if arguments.losses:
+        print(losses(read(arguments.losses)))
         return
     measured = partial(run, optimizer=arguments.optimizer, options=arguments.options)
     run_missing(planned_runs(arguments), measured, arguments.out, key)
@@ -98,6 +105,7 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--size", type=int, default=None, help="pixels of a side")
     parser.add_argument("--out", type=Path, default=Path("runs/moves.jsonl"))
     parser.add_argument("--table", type=Path)
+    parser.add_argument("--losses", type=Path)
     arguments = parser.parse_args()
     unknown = set(arguments.scenes) - set(SCENES)
     if unknown:
@@ -227,6 +235,37 @@ def table(rows: list[Row]) -> str:
         line = (scene, configuration, size, len(group), f"{np.median(at):.0f}", *counts)
         lines.append(f"| {' | '.join(map(str, line))} |")
     return "\n".join(lines)
+
+
+def losses(rows: list[Row]) -> str:
+    """Median losses, on how many targets FIDE's is lower, and costs, in Markdown.
+
+    At the end a run has the lower loss of its best candidate and of what it recommends.
+    """
+    columns = ("1,000", "2,000", "end", "FIDE lower at 1,000, 2,000, end", "CPU ms", "peak MB")
+    lines = [
+        f"| scene | optimizer | targets | {' | '.join(columns)} |",
+        "|---|---|" + "---:|" * (1 + len(columns)),
+    ]
+    for scene in dict.fromkeys(row["scene"] for row in rows):
+        group = [row for row in rows if row["scene"] == scene]
+        fide = {row["target"]: at_marks(row) for row in group if row["configuration"] == "FIDE"}
+        for name in dict.fromkeys(row["configuration"] for row in group):
+            mine = [row for row in group if row["configuration"] == name]
+            at = np.array([at_marks(row) for row in mine])
+            shared = [(at_marks(row), fide[row["target"]]) for row in mine if row["target"] in fide]
+            lower = np.sum([np.array(ours) < theirs for theirs, ours in shared], axis=0)
+            of = "" if name == "FIDE" else ", ".join(map(str, lower)) + f" of {len(shared)}"
+            cost = (f"{np.median([row[key] for row in mine]):.3g}" for key in ("cpu_ms", "peak_mb"))
+            medians = ("-" if loss == np.inf else f"{loss:.3g}" for loss in np.median(at, axis=0))
+            lines.append(f"| {' | '.join([scene, name, str(len(mine)), *medians, of, *cost])} |")
+    return "\n".join(lines)
+
+
+def at_marks(row: Row) -> list[float]:
+    """Losses of a run after 1,000 and 2,000 renders, and at its end."""
+    end = min(row["best"], row["recommended"])
+    return [row["marks"].get("1000", np.inf), row["marks"].get("2000", np.inf), end]
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
     python benchmarks/photographs.py learn boards.fide    # 60,000 renders, of no photograph
     python benchmarks/photographs.py learned guess plain wall --model boards.fide
+    python benchmarks/photographs.py opencv               # what OpenCV's own functions find
     python benchmarks/photographs.py table --out benchmarks/results/photographs.jsonl
     python benchmarks/photographs.py picture docs/images/boards.jpg --out ...
 
@@ -126,6 +127,32 @@ def run_wall(seed: int) -> Row:
     return {"arm": "wall", "number": seed, "errors": errors, **end}
 
 
+def opencv() -> None:
+    """Print errors of OpenCV's corners of the boards, and of its homography of the wall."""
+    pictures: Any = foreign._photograph
+    for number, board in enumerate(foreign._boards()):
+        photograph = pictures("boards")[120 * number : 120 * (number + 1)]
+        _, found = cv2.findChessboardCornersSB(photograph, (9, 6))
+        corners = (found.reshape(54, 2) + 0.5) * 4 - 0.5  # pixels of 640
+        true = np.array(board["corners"])
+        off = [np.linalg.norm(one - true, axis=1).mean() for one in (corners, corners[::-1])]
+        print(f"board {number}: {min(off):.2f}")
+    sift: Any = cv2.SIFT_create(contrastThreshold=0.02)
+    grays = [cv2.cvtColor(pictures(name), cv2.COLOR_RGB2GRAY) for name in ("graf1", "graf3")]
+    (points, first), (others, second) = (sift.detectAndCompute(gray, None) for gray in grays)
+    pairs = [
+        a for a, b in cv2.BFMatcher().knnMatch(first, second, k=2) if a.distance < 0.8 * b.distance
+    ]
+    here = np.array([points[pair.queryIdx].pt for pair in pairs])
+    there = np.array([others[pair.trainIdx].pt for pair in pairs])
+    H, _ = cv2.findHomography(here, there, cv2.RANSAC, 2.0)
+    height, width = grays[0].shape
+    box = np.array([[0, 0], [width, 0], [width, height], [0, height]], np.float64)
+    moved = cv2.perspectiveTransform(box[None], H)[0] - box
+    x = moved / (1.1 * np.array([width, height])) + 0.5  # as the problem has it
+    print(f"wall: {foreign.make('wall', 0).error(x.ravel()):.2f}")
+
+
 def picture(rows: list[Row], path: Path) -> None:
     """Photographs, and below them what was found with the model, drawn over them."""
     columns = []
@@ -168,7 +195,9 @@ def main() -> None:
     """Learn, run what is missing, or print the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument(
-        "what", nargs="+", help="learn FILE, learned, guess, plain, wall, table, picture FILE"
+        "what",
+        nargs="+",
+        help="learn FILE, learned, guess, plain, wall, opencv, table, picture FILE",
     )
     parser.add_argument("--model")
     parser.add_argument("--out", type=Path, default=Path("runs/photographs.jsonl"))
@@ -181,6 +210,9 @@ def main() -> None:
         print(model.report)
         return
     for arm in arguments.what:
+        if arm == "opencv":
+            opencv()
+            return
         if arm == "table":
             print(table(read(arguments.out)))
             return

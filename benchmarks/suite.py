@@ -37,6 +37,7 @@ import numpy as np
 from rows import Row, append, finished_by_all, missing, rows_of, run_missing
 
 from fide_lab import run as harness
+from fide_lab.cli.arguments import names
 from fide_lab.compare import results
 from fide_lab.compare.plan import Configuration
 from fide_lab.report import plots
@@ -52,7 +53,7 @@ from fide_lab.suite.page import (
 )
 from fide_lab.suite.problems import check_budgets
 from fide_lab.suite.scores import Scores, within
-from fide_plugins.cli.arguments import names, whole
+from fide_plugins.cli.arguments import whole
 from fide_plugins.errors import OptionError
 from fide_plugins.types import Float64
 

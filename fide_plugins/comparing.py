@@ -84,8 +84,9 @@ def compare_again(optimizer: FIDE, std: Float64 | None = None) -> None:
     state.begin_after(now)
     state.comparisons += 1
     kept.rank(compared.losses)
-    if not state.begin_descents():
-        state.begin_at_blurs(blurs)
+    if not state.begin_descents() and blurs:
+        state.scales.left = blurs
+        state.begin_at_blur()
 
 
 def compare_first_at(optimizer: FIDE, size: tuple[int, int] | None) -> None:

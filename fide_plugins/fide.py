@@ -385,7 +385,7 @@ class FIDE(Saved):
         return steps.new_ones(search.place_proposals(x, z), state.population.is_pending)
 
     def hand_out_steps(self, x: Float64) -> None:
-        """Count steps (m, dim) as asked."""
+        """Count steps x (m, dim) as asked."""
         state = self.state
         assert state.steps is not None
         state.steps.remaining = max(0, state.steps.remaining - len(x))

@@ -310,13 +310,9 @@ class Population(Stateful):
     # -- telling -----------------------------------------------------------------------------------
 
     def record(self, x: Float64, loss: float) -> Candidate | None:
-        """Enter the loss of x (d,); returns the candidate as it counts, or None: injected.
-
-        What is injected takes the next index of those that are drawn.
-        """
+        """Enter the loss of x (d,); returns the candidate as it counts, or None: injected."""
         candidate = self.take(x)
         if candidate is None:
-            self.drawn += 1
             return None
         delay = self.newest - candidate.index - self.size
         self.delays = max(self.delays[0], delay), self.delays[1]

@@ -117,11 +117,6 @@ class State:
     )
 
     @property
-    def stage(self) -> Stage:
-        """What the candidates of the present generation are for."""
-        return self.moves.stage
-
-    @property
     def generation_is_fixed(self) -> bool:
         """Whether the present generation, a test, needs exactly the candidates drawn for it."""
         stage, move = self.moves.stage, self.moves.move
@@ -160,7 +155,8 @@ class State:
         loss, told = (loss, told) if finite else (np.inf, np.inf)
         candidate = self.population.record(x, told)
         if candidate is None:
-            number = self.population.drawn - 1
+            number = self.population.drawn
+            self.population.drawn += 1
             exact = x = self.search.axes.clipped(x[None])[0]  # what is rendered at x
         else:
             number, exact = candidate.index, candidate.x  # x may have lost digits on its way
@@ -257,7 +253,7 @@ class State:
             spread, x = self.search.std, self._arrived
             widest = self.scales.go_on() * self.search.setting.sigma0
             self.moves.start = Start(x, np.minimum(widest, NEXT * spread))
-            self._begin_at_blur()
+            self.begin_at_blur()
             return
         spent = self.evaluations - self.over_at
         self.moves.after_search(self.search_best, spent, guided=guided or self.scales.asked)
@@ -323,11 +319,6 @@ class State:
 
     # -- coarse to fine ----------------------------------------------------------------------------
 
-    @property
-    def blur(self) -> float:
-        """Standard deviation in pixels of the blur at which images are compared; 0: sharp."""
-        return self.scales.blur
-
     def begin_coarse(self, target: Float32) -> bool:
         """Begin the first search again, coarse, if its first candidates say so; target: packed."""
         if self.scales.useful is not None:
@@ -338,19 +329,13 @@ class State:
         if x is None:
             return False
         self.moves.start = replace(self.moves.start, mean=x)
-        self._begin_at_blur()
+        self.begin_at_blur()
         return True
 
     def _let_moves_know(self) -> None:
         known, scales = self.moves.known, self.scales
         known.blurs = bool(scales.useful)
         known.only_coarse = scales.asked and known.blurs
-
-    def begin_at_blurs(self, blurs: list[float]) -> None:
-        """Begin the present search again with the first of these blurs, in sides; [] for none."""
-        if blurs:
-            self.scales.left = blurs
-            self._begin_at_blur()
 
     def stay_sharp(self) -> None:
         """Compare sharp images from now on; a coarse search goes on as a sharp one."""
@@ -361,9 +346,9 @@ class State:
         if coarse:
             self.population.close_generation()
             self.moves.stage, self.moves.start = Stage.SEARCH, Start(self._arrived, self.search.std)
-            self._begin_at_blur()
+            self.begin_at_blur()
 
-    def _begin_at_blur(self) -> None:
+    def begin_at_blur(self) -> None:
         """Begin a search; what was evaluated at another blur is forgotten."""
         self.samples, self.learned = [], []
         self.search_best = self.injected = None

@@ -8,9 +8,9 @@
 --renderer is FILE.py:NAME (or module:NAME), a function of a dictionary of parameters that returns
 an image, or a list of images for several targets. The parameters are `space = Space(...)` in that
 file, or --space. --command runs a program for each image, without a shell: {out} is the name of the
-image that it writes, {NAME} a parameter, {NAME:.3f} the same in a format; with {width}, {height}
-and {samples} a fit begins with small pictures of few samples, and {seed} is another one for each
-image. For several targets, give --command several times.
+image that it writes, {NAME} a parameter, {NAME:.3f} the same in a format; {width} and {height} are
+the target's, or smaller at first with --smallest; with {samples} a fit begins with few, and {seed}
+is another one for each image. For several targets, give --command several times.
 
 Several targets are views of one scene: give --mask once for each, too, or once for all if they have
 one size. --live opens a page in the browser that shows how far the fit is; `fide watch DIR` does so
@@ -69,7 +69,7 @@ _OF_MODELS = ("cells", "control_points", "model_set", "optimizer", "start")
 """Arguments that no renderer of a user has."""
 _OF_RENDERERS = (
     "space", "workers", "timeout", "mask", "weights", "time", "stop_at", "until",
-    "encoder", "learned", "max_failures", "value_range", "samples", *_COMPARISON,
+    "encoder", "learned", "max_failures", "value_range", "samples", "smallest", *_COMPARISON,
 )  # fmt: skip
 """Arguments that no model has."""
 _BUDGET = 2000
@@ -115,6 +115,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "limits alone (solved)")  # fmt: skip
     add("--samples", type=whole(1), metavar="N",
         help="most samples of a pixel, if it takes samples (its default, or 64)")  # fmt: skip
+    add("--smallest", type=whole(1), metavar="PIXELS",
+        help="begin with pictures of so many on the shorter side, if it takes a size")  # fmt: skip
     add("--max-failures", type=float, metavar="SHARE", help="of the last 50 renders (1: any)")
     add("--encoder", metavar="NAME", help="see: fide list encoders (the preset's)")
     add("--learned", metavar="MODEL", help="model of: fide learn")
@@ -237,6 +239,10 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
     workers = default_number() if args.workers is None else args.workers
     out = free_directory(args, Path(args.targets[0]).stem)
     share = 1.0 if share is None else positive_fraction("max_failures", share)
+    fidelity = None
+    if args.samples is not None or args.smallest is not None:
+        sizes = None if args.smallest is None else (args.smallest, 2**16)
+        fidelity = Fidelity(sizes, (1, args.samples or 64))
     fitting = prepare(
         render,
         targets[0] if len(targets) == 1 else targets,
@@ -251,7 +257,7 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
         command=command,
         progress=True if sys.stderr.isatty() else lines("fide fit"),
         check_first=read_run(out) is None,
-        fidelity=None if args.samples is None else Fidelity((32, 2**16), (1, args.samples)),
+        fidelity=fidelity,
         max_failures=share,
     )
     return fitting, out

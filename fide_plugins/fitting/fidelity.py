@@ -49,7 +49,8 @@ def schedule_for(
 ) -> Schedule | None:
     """What a fit asks of a renderer; None for one that takes neither size, samples nor a seed.
 
-    fidelity: None: by the renderer's signature; False: the finest only.  Raises OptionError.
+    fidelity: None: samples and seed by the renderer's signature, and the full size, since small
+        ones have saved no time where it was measured; False: the finest only.  Raises OptionError.
     """
     if not (fidelity is None or fidelity is False or isinstance(fidelity, Fidelity)):
         raise OptionError(f"fidelity must be Fidelity(size=..., samples=...), not {fidelity!r}")
@@ -64,7 +65,7 @@ def schedule_for(
     most = takes.get("samples")
     most = most if isinstance(most, int) and most > 0 else 64
     if fidelity is None:
-        fidelity = Fidelity((32, 2**16), (1, most))
+        fidelity = Fidelity(None, (1, most))
     elif fidelity is False:
         fidelity = Fidelity(None, (most, most))
     return Schedule(

@@ -124,7 +124,7 @@ def fit(
         [0, 1].
     fidelity
         how small, and of how few samples, renders may be: a `Fidelity`, for a `render` with
-        keyword arguments size=(h, w), samples=n or seed=s.  None: where its signature has them.
+        keyword arguments size=(h, w), samples=n or seed=s.  None: few samples, at full size.
         False: always the finest.
     **options
         options of `FIDE`, such as `loss`, `encoder`, `preset`, `weights`, `x0`.

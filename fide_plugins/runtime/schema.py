@@ -2,7 +2,7 @@
 
 A rule returns what it has checked as it is put back: a dataclass, an enum, a tensor.
 
->>> check({"x": np.zeros((3, 2)), "n": 3}, {"x": array("n", "d"), "n": whole()}, {"d": 2})
+>>> _ = check({"x": np.zeros((3, 2)), "n": 3}, {"x": array("n", "d"), "n": whole()}, {"d": 2})
 >>> check({"x": np.zeros((3, 2)), "n": 3}, {"x": array("n", "n"), "n": whole()}, {})
 Traceback (most recent call last):
 ValueError: state['x'] has the shape (3, 2), and n is 3

@@ -167,8 +167,8 @@ class MovePolicy:
             sigma0=sigma0,
             target=target,
             channels=channels,
-            exchangeability=Exchangeability(dim, channels, groups, axes),
-            sensitivity=Sensitivity(dim, channels, axes),
+            exchangeability=Exchangeability(axes, channels, groups),
+            sensitivity=Sensitivity(axes, channels),
             axes=axes,
             place=axes.clipped,
             values=Values(axes),
@@ -312,27 +312,22 @@ class MovePolicy:
             if found.loss >= left.loss:
                 known.optima.fail(left)
         if best:
-            self._leave(found)
-
-    def _leave(self, incumbent: TrainingSample) -> None:
-        """Take this optimum for the incumbent."""
-        if incumbent is not self.known.incumbent:
-            self.known.removal = Removal()
-        self.known.incumbent = incumbent
+            known.removal, known.incumbent = Removal(), found
 
     def _choose(self) -> None:
         """Choose the next move, and the stage that comes first."""
         known = self.known
         if not known.exchangeability.finished:
             if known.incumbent is None:  # the last search began without images, and was no better
-                self._leave(known.optima.all[0].sample)
+                known.removal, known.incumbent = Removal(), known.optima.all[0].sample
             self.stage = Stage.EXCHANGE
             return
         blocks = known.exchangeability.blocks
         following = known.optima.next(_TOLERANCE if blocks is None else len(blocks))
         self.stage, self.move = Stage.RESTART, RandomRestart.name
         if following is not None:
-            self._leave(following)
+            if following is not known.incumbent:
+                known.removal, known.incumbent = Removal(), following
             moves = [self.family[name] for name in self._choice.names if name in self.family]
             possible = [one.name for one in moves if one.from_incumbent and one.possible(known)]
             possible = possible or [RandomRestart.name]

@@ -84,10 +84,9 @@ class Exchangeability(Stateful):
     Parts of a *chain*, such as control points of a curve, show the same image in reverse order, and
     in no other one.  Chains are tested in the second round.
 
-    dim: d.
+    axes: of the cube.
     channels: leading channels of the tokens in which images are compared; None: all.
     groups: declared blocks; None: to be found; empty: there are none.
-    axes: which of them are one parameter or periodic; None: each is a parameter with walls.
     blocks: layout (n, L); None where none is known.
     chain: layout of its parts, the same; None where none is known.
     ordered: whether the order of blocks shows a little, as painting does.
@@ -103,13 +102,11 @@ class Exchangeability(Stateful):
 
     def __init__(
         self,
-        dim: int,
+        axes: Axes,
         channels: int | None,
         groups: Sequence[Sequence[int]] | None = None,
-        axes: Axes | None = None,
     ) -> None:
-        self.dim, self.channels = dim, channels
-        self._axes = axes or Axes(dim)
+        self._axes, self.dim, self.channels = axes, axes.dim, channels
         self.blocks: Indices | None = None
         self.chain: Indices | None = None
         self.ordered = False
@@ -118,7 +115,7 @@ class Exchangeability(Stateful):
         if groups is not None:
             self._round = _DECLARED
             if len(groups):
-                self.blocks, self.ordered = check_groups(groups, dim), True
+                self.blocks, self.ordered = check_groups(groups, self.dim), True
 
     @property
     def finished(self) -> bool:
@@ -326,6 +323,7 @@ def _changes(
 _LARGEST_COST = 1e300
 
 
+@dataclass(eq=False)
 class Removal(Stateful):
     """What each exchangeable block of one incumbent contributes to the image; one render a block.
 
@@ -336,14 +334,10 @@ class Removal(Stateful):
     costs: (n,).  owned: (n, T); both are empty before a round.
     """
 
-    SCHEMA: ClassVar[dict[str, Schema]] = {
-        "costs": array("blocks"),
-        "owned": array("blocks", "tokens", low=0.0),
-    }
-
-    def __init__(self) -> None:
-        self.costs: Float64 = np.empty(0)
-        self.owned: Float64 = np.empty((0, 0))
+    costs: Float64 = saved(array("blocks"), default_factory=lambda: np.empty(0))
+    owned: Float64 = saved(
+        array("blocks", "tokens", low=0.0), default_factory=lambda: np.empty((0, 0))
+    )
 
     @property
     def known(self) -> bool:
@@ -457,8 +451,8 @@ class Sensitivity(Stateful):
     overlap of what they change says which form a group.  That depends on the renderer more than on
     the candidate: one round serves for all incumbents.
 
-    dim: d.  channels: leading channels of the tokens in which changes are seen; None: all.
-    axes: those of one parameter, such as a choice, are moved together; None: each is a parameter.
+    axes: of the cube; those of one parameter, such as a choice, are moved together.
+    channels: leading channels of the tokens in which changes are seen; None: all.
     """
 
     SCHEMA: ClassVar[dict[str, Schema]] = {
@@ -467,10 +461,9 @@ class Sensitivity(Stateful):
         "pairs": array("p", "p", low=0.0),
     }
 
-    def __init__(self, dim: int, channels: int | None, axes: Axes | None = None) -> None:
-        self.dim, self.channels = dim, channels
-        self._axes = axes or Axes(dim)
-        p = len(self._axes.axes_of)
+    def __init__(self, axes: Axes, channels: int | None) -> None:
+        self._axes, self.dim, self.channels = axes, axes.dim, channels
+        p = len(axes.axes_of)
         self.rounds = 0
         self._overlap = np.zeros((p, p))  # sum over all samples
         self._pairs = np.zeros((p, p))  # how often each pair was seen together

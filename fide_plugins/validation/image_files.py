@@ -16,14 +16,12 @@ import numpy as np
 from fide_plugins.errors import FideError, ImageError, ImageNotFoundError
 from fide_plugins.runtime.files import RefusedFileError, check_regular
 from fide_plugins.runtime.machine import missing
-from fide_plugins.runtime.messages import warn_user
 from fide_plugins.types import Float32
 from fide_plugins.validation.values import MAX_PIXELS, Pixels, describe, typed
 
 _WIDENED = ("PNG", "PPM")  # formats of 16 bits, which Pillow may keep in 32
 _TIFF = (".tif", ".tiff")
 _ORIENTATION = 0x0112  # EXIF
-_LAYERED = ("MPO", "PSD")  # their first frame is the picture, the others belong to it
 _LARGEST_16 = np.float32(65535)
 
 
@@ -33,7 +31,7 @@ def read_pixels(path: str | os.PathLike[str], max_side: int | None, *, raw: bool
     raw: numbers as they are stored; otherwise those of 16 bits are divided by 65535.
     Raises ImageError, ImageNotFoundError, DependencyError for EXR without its extra.
     """
-    name, frames = os.fspath(path), 1
+    name = os.fspath(path)
     try:
         check_regular(path)
         if name.lower().endswith(".exr"):
@@ -41,7 +39,7 @@ def read_pixels(path: str | os.PathLike[str], max_side: int | None, *, raw: bool
         elif name.lower().endswith(".hdr"):
             pixels = _by_opencv(path, raw)
         else:
-            pixels, frames = _by_pillow(path, raw)
+            pixels = _by_pillow(path, raw)
     except FileNotFoundError as e:
         raise ImageNotFoundError(f"no image file at {name!r}") from e
     except FideError:
@@ -53,14 +51,11 @@ def read_pixels(path: str | os.PathLike[str], max_side: int | None, *, raw: bool
             f"cannot read {name!r} as an image: {e}; is it whole, and is it an image? PNG, JPEG, "
             "TIFF, PPM, HDR and EXR can be read"
         ) from e
-    if frames > 1:
-        file = os.path.basename(name)
-        warn_user(f"{file} has {frames} frames or pages, of which the first one is taken")
     return shrunk(pixels, None, max_side, raw=raw)[0]
 
 
-def _by_pillow(path: str | os.PathLike[str], raw: bool) -> tuple[Pixels, int]:
-    """Pixels of a file, and its number of frames."""
+def _by_pillow(path: str | os.PathLike[str], raw: bool) -> Pixels:
+    """Pixels of a file, of several frames or pages those of the first."""
     from PIL import Image, UnidentifiedImageError  # takes a while
 
     try:
@@ -68,19 +63,16 @@ def _by_pillow(path: str | os.PathLike[str], raw: bool) -> tuple[Pixels, int]:
     except UnidentifiedImageError:
         if Path(path).suffix.lower() not in _TIFF:
             raise
-        return _by_opencv(path, raw), 1
+        return _by_opencv(path, raw)
     with opened as image:
-        frames = 1 if image.format in _LAYERED else getattr(image, "n_frames", 1)
         tiles: Any = image.tile
         if image.mode in ("RGB", "RGBA") and any(
             ";16" in str(tile[3]) or (tile[0] == "ppm" and tile[3][1:] == (65535,))
             for tile in tiles
         ):
             _check_size(*image.size, repr(os.fspath(path)))
-            pixels = _upright(_by_opencv(path, raw), image.getexif().get(_ORIENTATION, 1))
-        else:
-            pixels = from_pil(image, repr(os.fspath(path)), raw=raw)
-    return pixels, frames
+            return _upright(_by_opencv(path, raw), image.getexif().get(_ORIENTATION, 1))
+        return from_pil(image, repr(os.fspath(path)), raw=raw)
 
 
 def _upright(pixels: Pixels, orientation: int) -> Pixels:

@@ -65,7 +65,7 @@ def test_the_search_is_blurred_and_the_answer_is_not() -> None:
     X = opt.ask(6)
     images = renders(X)
     np.testing.assert_array_equal(opt.tell(X, images), sharp(images))
-    blur, target = opt.state.blur, ring(ANSWER)[..., None]
+    blur, target = opt.state.scales.blur, ring(ANSWER)[..., None]
     seen = [np.square(blurred(one[..., None] - target, blur)).mean() for one in images]
     sample = opt.state.search_best
     assert sample is not None and opt.best is not None
@@ -82,10 +82,10 @@ def test_thin_structures_are_found_coarse_first() -> None:
 
 def test_a_series_of_searches_ends_sharp() -> None:
     opt = made()
-    blurs = [opt.state.blur]
-    while opt.state.blur and opt.evaluations < 600:
+    blurs = [opt.state.scales.blur]
+    while opt.state.scales.blur and opt.evaluations < 600:
         run(opt, 6)
-        blurs.append(opt.state.blur)
+        blurs.append(opt.state.scales.blur)
     assert blurs == sorted(blurs, reverse=True) and blurs[-1] == 0
     assert len(set(blurs)) == 4
 
@@ -98,7 +98,7 @@ def test_pieces_of_a_tell_do_not_matter() -> None:
         opts[0].tell(X, renders(X))
         for x in X:
             opts[1].tell(x[None], renders(x[None]))
-    assert opts[0].state.blur == opts[1].state.blur
+    assert opts[0].state.scales.blur == opts[1].state.scales.blur
     np.testing.assert_array_equal(opts[0].ask(), opts[1].ask())
 
 
@@ -110,17 +110,17 @@ def test_a_saved_run_goes_on(coarse: bool | None, tmp_path: Any) -> None:
     other = FIDE.load(tmp_path / "run.fide")
     for one in (opt, other):
         run(one, 60)
-    assert other.state.blur == opt.state.blur
+    assert other.state.scales.blur == opt.state.scales.blur
     np.testing.assert_array_equal(other.ask(6), opt.ask(6))
 
 
 def test_the_losses_of_a_user_are_of_no_blur() -> None:
     opt = made()
     run(opt, 12)
-    assert opt.state.blur > 0
+    assert opt.state.scales.blur > 0
     X = opt.ask(6)
     opt.tell(X, renders(X), np.arange(6.0) + 1)
-    assert opt.state.blur == 0 and opt.state.scales.useful is False
+    assert opt.state.scales.blur == 0 and opt.state.scales.useful is False
     run(opt, 12)
     assert np.isfinite(opt.ask(6)).all()
 
@@ -129,7 +129,7 @@ def test_the_next_picture_begins_sharp() -> None:
     opt = made()
     run(opt, 12)
     opt.retarget(ring(ANSWER - 0.05))
-    assert opt.state.blur == 0
+    assert opt.state.scales.blur == 0
     run(opt, 12)
 
 
@@ -138,7 +138,7 @@ def test_views_and_masks_are_blurred() -> None:
     mask[:, :4] = 0
     both = [ring(ANSWER), ring(ANSWER, 0.05)]
     opt = FIDE(3, both, mask=[mask, None], coarse_to_fine=True, seed=0)
-    assert opt.state.blur > 0
+    assert opt.state.scales.blur > 0
     for _ in range(6):
         X = opt.ask(6)
         opt.tell(X, [renders(X), renders(X, 0.05)])
@@ -157,7 +157,7 @@ def test_views_and_masks_are_blurred() -> None:
 def test_where_nothing_is_blurred(options: Any) -> None:
     opt = made(**options)
     run(opt, 48)
-    assert opt.state.blur == 0 and opt.state.scales.useful is False
+    assert opt.state.scales.blur == 0 and opt.state.scales.useful is False
 
 
 def squares(x: Float64, side: int = 48, across: int = 16) -> tuple[Float32, Float32]:

@@ -49,7 +49,7 @@ def test_every_candidate_is_valid_whatever_it_is_for(
     tested = many is None and not options
     while opt.evaluations < (250 if tested else 100):
         X = opt.ask(many)
-        stages.add(opt.state.stage)
+        stages.add(opt.state.moves.stage)
         assert all(sum(BEADS.violations(p).values()) == 0 for p in BEADS.decode_many(X))
         opt.tell(X, [disks(p) for p in BEADS.decode_many(X)])
     assert not tested or Stage.RESTART in stages

@@ -50,7 +50,7 @@ def saved(opt: FIDE) -> bytes:
 def reach(stage: Stage, target: Float32, render: Render, **options: Any) -> FIDE:
     opt = FIDE(6, target, **(SHORT | settings(stage) | options))
     for _ in range(600):
-        if opt.state.stage is stage:
+        if opt.state.moves.stage is stage:
             return opt
         X = opt.ask()
         opt.tell(X, render(X))
@@ -64,7 +64,7 @@ def test_a_stalled_search_is_left_by_a_move(target: Float32, render: Render) -> 
     X = opt.ask()
     assert len(X) == 20 and (incumbent.x != X).any(axis=1).all()
     opt.tell(X, render(X))
-    assert opt.state.stage is Stage.SEARCH and opt.state.searches == searches + 1
+    assert opt.state.moves.stage is Stage.SEARCH and opt.state.searches == searches + 1
     assert any((opt.state.search.mean == x).all() for x in [*X, incumbent.x])
     assert len(opt.ask()) == 8
 
@@ -123,7 +123,7 @@ def test_can_be_switched_off(restarts: str, target: Float32, render: Render) -> 
         X = opt.ask()
         assert len(X) % 8 == 0
         opt.tell(X, render(X))
-        assert opt.state.stage is Stage.SEARCH
+        assert opt.state.moves.stage is Stage.SEARCH
         means.add(tuple(opt.state.moves.start.mean))
     assert (opt.state.searches > 1) == (restarts == "anew")
     assert len(means) == (opt.state.searches if restarts == "anew" else 1), "each somewhere else"

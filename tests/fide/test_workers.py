@@ -59,7 +59,7 @@ def test_a_test_waits_for_its_own_candidates(stage: Stage, target: Float32, rend
     opt.tell(extra, render(extra))
     opt.tell(own[1:], render(own[1:]))
     assert opt.state.population.generations == generations
-    assert (opt.state.stage, opt.state.searches) == (stage, searches)
+    assert (opt.state.moves.stage, opt.state.searches) == (stage, searches)
     opt.tell(own[:1], render(own[:1]))
     assert opt.state.population.generations == generations + 1
     assert opt.evaluations == before + len(own) + 3

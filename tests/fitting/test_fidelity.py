@@ -118,6 +118,12 @@ def test_a_renderer_without_them_is_fitted_as_before(target: Float64) -> None:
     assert before.cost == after.cost == before.evaluations
 
 
+def test_sizes_are_asked_for_only_where_they_are_given(target: Float64) -> None:
+    asked: Asked = []
+    fit(renderer(asked), target, SPACE, 30, workers=0, seed=0, until="budget")
+    assert {size for _, size, *_ in asked} == {(64, 80)} and asked[0][2] == 1
+
+
 def test_sizes_at_which_it_fails_are_left_out_and_said(target: Float64) -> None:
     asked: Asked = []
     with pytest.warns(RuntimeWarning, match="fail at 40 x 32 .*too small; the smallest .* 80 x 64"):

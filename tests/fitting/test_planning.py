@@ -56,8 +56,5 @@ def test_the_plan_is_printed_and_made_once(
     totals = json.loads((tmp_path / "run.json").read_text())["totals"]
     assert totals["cost"] == result.cost
     again = fit(renderer(asked), target, SPACE, 12, resume=True, **options)
-    assert (
-        "plan" not in capsys.readouterr().err
-        and again.evaluations == 12
-        and asked[-1][1] == (64, 64)
-    )
+    assert "plan" not in capsys.readouterr().err
+    assert again.evaluations == 12 and asked[-1][1] == (64, 64)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 from typing import Any
 
 import cloudpickle
@@ -166,13 +165,6 @@ def test_what_ends_its_process_or_hangs_needs_one_of_its_own() -> None:
     assert "died with exit code 3" in reasons and "did not end within 0.5 s, its" in reasons
     assert "--timeout" not in reasons
     assert facts.kills and facts.workers >= 1
-
-
-def test_renders_to_plan() -> None:
-    planned = [replace(Facts(dim, dim), median=1.0, number=4) for dim in (3, 40, 100, 160)]
-    assert [facts.budget for facts in planned] == [2000, 4000, 10_000, 24_000]
-    assert planned[0].workers == 4 and planned[0].seconds_of_fit == pytest.approx(502)
-    assert Facts(2, 2, median=0.001, number=4).workers == 0
 
 
 def test_views_types_and_wrong_images() -> None:

@@ -34,8 +34,3 @@ def test_the_axis_is_logarithmic_wherever_it_can_be(
     assert axes.get_yscale() == scale
     np.testing.assert_allclose(axes.lines[0].get_ydata(), best)
     assert len(axes.collections[0].get_offsets()) == int(np.isfinite(losses).sum())
-
-
-def test_without_a_finite_loss_it_is_empty() -> None:
-    axes = drawn(np.inf, np.nan)
-    assert not axes.lines and not axes.collections

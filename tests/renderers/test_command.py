@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fide_plugins import Choice, Float, Group, Space, fit
+from fide_plugins import Choice, Fidelity, Float, Group, Space, fit
 from fide_plugins.errors import OptionError, RenderError
 from fide_plugins.renderers import CommandRenderer
 from fide_plugins.renderers.command import Template
@@ -302,7 +302,8 @@ def test_size_samples_and_seed_are_placeholders_unless_the_space_has_them(tmp_pa
     image = render({"gray": 51.0, "seed": 1.5}, size=(4, 6), samples=3)
     assert np.shape(image) == (4, 6, 3) and np.allclose(image, 0.2)
     target = np.full((64, 64, 3), 0.2)
-    fit(render, target, space, 6, workers=0, seed=0, until="budget")
+    small = Fidelity(size=(32, 64), samples=(1, 64))
+    fit(render, target, space, 6, workers=0, seed=0, until="budget", fidelity=small)
     lines = (tmp_path / "draw.py.log").read_text().splitlines()
     assert lines[0] == "6 4 3 1.5"
     assert lines[1].startswith("32 32 1 1.") and lines[-1].startswith("64 64 64 ")

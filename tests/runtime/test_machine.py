@@ -97,9 +97,8 @@ def test_a_fit_writes_all_but_its_figure(tmp_path: Path) -> None:
     assert {"best.png", "target.png", "curve.csv", "run.json"} <= files
     assert "summary.png" not in files
     assert "losses" not in result._repr_html_() and "gray" in result._repr_html_()
-    for name in ("plot",):
-        with pytest.raises(DependencyError, match=NAMES):
-            getattr(result, name)()
+    with pytest.raises(DependencyError, match=NAMES):
+        result.plot()
     with pytest.raises(DependencyError, match=NAMES):
         new_figure(1, 1)
 

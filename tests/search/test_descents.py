@@ -95,11 +95,11 @@ def photograph(x: Float64 = ANSWER) -> Any:
 
 def test_of_a_photograph_a_run_from_a_guess_begins_with_them() -> None:
     optimizer = FIDE(3, photograph(), x0=ANSWER + 0.06, sigma0=0.05, photo=True, seed=0)
-    stages = [optimizer.state.stage]
+    stages = [optimizer.state.moves.stage]
     while optimizer.evaluations < 200:
         X = optimizer.ask()
         optimizer.tell(X, [disk(x) for x in X])
-        stages.append(optimizer.state.stage)
+        stages.append(optimizer.state.moves.stage)
     assert (stages[0], stages[-1]) == (Stage.DESCENT, Stage.SEARCH)
     assert optimizer.best is not None
     assert np.abs(optimizer.best.x[:2] - ANSWER[:2]).max() < 0.02
@@ -110,7 +110,7 @@ def test_a_run_that_was_saved_among_them_goes_on(tmp_path: Any) -> None:
     for _ in range(3):
         X = optimizer.ask()
         optimizer.tell(X, [disk(x) for x in X])
-    assert optimizer.state.stage is Stage.DESCENT
+    assert optimizer.state.moves.stage is Stage.DESCENT
     optimizer.save(tmp_path / "run")
     again = FIDE.load(tmp_path / "run")
     for _ in range(8):
@@ -125,14 +125,14 @@ def test_a_run_that_was_saved_among_them_goes_on(tmp_path: Any) -> None:
     [{}, {"photo": True}, {"photo": True, "x0": ANSWER}, {"x0": ANSWER, "sigma0": 0.05}],
 )
 def test_elsewhere_a_run_begins_with_a_search(options: dict[str, Any]) -> None:
-    assert FIDE(3, photograph(), seed=0, **options).state.stage is Stage.SEARCH
+    assert FIDE(3, photograph(), seed=0, **options).state.moves.stage is Stage.SEARCH
 
 
 def test_with_losses_of_the_user_the_search_begins_at_the_guess() -> None:
     optimizer = FIDE(3, photograph(), x0=ANSWER, sigma0=0.05, photo=True, seed=0)
     X = optimizer.ask()
     optimizer.tell(X, None, np.square(X - 0.5).sum(axis=1))
-    assert optimizer.state.stage is Stage.SEARCH
+    assert optimizer.state.moves.stage is Stage.SEARCH
     assert np.abs(optimizer.state.search.mean - ANSWER).max() < 0.1
 
 
@@ -142,7 +142,7 @@ def test_a_failed_render_ends_nothing() -> None:
     assert len(np.unique(X, axis=0)) == len(X)  # the guess is one of them, once
     optimizer.tell(X[:1], None, [np.nan])
     optimizer.tell(X[1:], [disk(x) for x in X[1:]])
-    assert optimizer.state.stage is Stage.DESCENT
+    assert optimizer.state.moves.stage is Stage.DESCENT
     assert len(optimizer.tell(np.empty((0, 3)), [])) == 0
 
 
@@ -150,12 +150,12 @@ def test_where_all_renders_fail_a_sharp_search_follows() -> None:
     optimizer = FIDE(3, photograph(), x0=ANSWER + 0.06, sigma0=0.05, photo=True, seed=0)
     X = optimizer.ask()
     optimizer.tell(X, None, np.full(len(X), np.nan))
-    assert (optimizer.state.stage, optimizer.state.blur) == (Stage.SEARCH, 0.0)
+    assert (optimizer.state.moves.stage, optimizer.state.scales.blur) == (Stage.SEARCH, 0.0)
 
 
 def test_no_blurred_loss_comes_into_the_search() -> None:
     optimizer = FIDE(3, photograph(), x0=ANSWER + 0.06, sigma0=0.05, photo=True, seed=0)
-    while optimizer.state.stage is Stage.DESCENT:
+    while optimizer.state.moves.stage is Stage.DESCENT:
         X = optimizer.ask()
         own = np.vstack([X, ANSWER + 0.01])  # the last was never asked
         losses = optimizer.tell(own, [disk(x) for x in own])  # sharp ones

@@ -155,19 +155,6 @@ def test_whole_numbers_of_32_bits_are_refused_as_in_an_array(tmp_path: Path) -> 
             as_target(given_image)
 
 
-@pytest.mark.parametrize("ending", ["gif", "tif", "png", "webp"])
-def test_of_several_frames_the_first_is_taken_with_a_warning(ending: str, tmp_path: Path) -> None:
-    frames = [Image.new("RGB", (6, 6), color) for color in ("red", "lime", "blue")]
-    path = tmp_path / f"a.{ending}"
-    lossless: dict[str, Any] = {"lossless": True} if ending == "webp" else {}
-    frames[0].save(path, save_all=True, append_images=frames[1:], **lossless)
-    with pytest.warns(RuntimeWarning, match=rf"^a\.{ending} has 3 frames .* first one is taken"):
-        image = as_target(path)
-    np.testing.assert_array_equal(image, np.broadcast_to([1, 0, 0], (6, 6, 3)))
-    frames[0].save(path, **lossless)
-    as_target(path)  # one frame: no warning
-
-
 def test_a_missing_file(tmp_path: Path) -> None:
     with pytest.raises(ImageNotFoundError, match=r"no image file at .*gone\.png") as error:
         as_target(tmp_path / "gone.png")

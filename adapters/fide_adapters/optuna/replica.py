@@ -262,7 +262,7 @@ class Replica:
         return role
 
     def _stage_of_search(self) -> tuple[Stage, int]:
-        return self.optimizer.state.stage, self.optimizer.state.searches
+        return self.optimizer.state.moves.stage, self.optimizer.state.searches
 
     def state_dict(self) -> dict[str, Any]:
         """Everything but the optimizer's settings; arrays are those in use, not copies."""

@@ -432,7 +432,7 @@ class DiBO(Baseline):
     def _sample(self) -> Float64:
         if len(self._values) < min(self.initial, self.buffer):
             X = self._rng.random((self.popsize, self.dim))
-            if self._population.drawn == 0:
+            if not len(self._asked):
                 X[0] = 0.5
             return X
         if self._waiting is None:

@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from fide_lab.baselines.base import Baseline, needed_images
-from fide_plugins.errors import ImageError, OptionError
+from fide_plugins.errors import ImageError
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.options import positive, positive_fraction
 from fide_plugins.validation.points import whole_number
@@ -41,7 +41,7 @@ class SGE(Baseline):
 
     block: parameters of a primitive, which follow each other and have one support (Voronoi: 5,
         triangles: 10).
-    popsize: renders of a step, an even number; None: 8, four pairs.
+    popsize: renders of a step, an odd number less one; None: 8, four pairs.
     epsilon: by which parameters are moved, in units of the box.
     learning_rate: of Adam at first, in units of the box; it falls to a tenth along a cosine.
     share: of the renders that measure supports, after the first time.
@@ -70,8 +70,6 @@ class SGE(Baseline):
         super().__init__(dim, target, **options)
         if self.target is None:
             raise ImageError(f"{self.name} learns from images and needs a target; got none")
-        if self.popsize % 2:
-            raise OptionError(f"popsize must be even, for pairs of renders; not {self.popsize}")
         self.block = whole_number("block", block, 1)
         self.epsilon = positive("epsilon", epsilon)
         self.learning_rate = positive("learning_rate", learning_rate)

@@ -6,8 +6,8 @@ three hidden layers of 64 units with leaky ReLUs, the last layer's output includ
 used with both signs; points are shifted once more before they are rendered, by a tenth of sigma;
 three steps of Adam for the parameter, then three for the network.
 
-It deviates where the parameter itself is evaluated at each step, which counts here: 2 batch + 1
-renders; where losses are divided by the mean of the first step's; where points and the parameter
+It deviates where the parameter itself is evaluated at each step, which counts here: a render
+more; where losses are divided by the mean of the first step's; where points and the parameter
 are kept in the box; and in the learning rates, which were chosen for the unit box on four functions
 of 5 to 20 parameters, in races with the published program.
 """
@@ -24,11 +24,9 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from fide_lab.baselines.base import Baseline
-from fide_plugins.errors import OptionError
 from fide_plugins.runtime.threads import timed
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.options import positive
-from fide_plugins.validation.points import whole_number
 
 M = TypeVar("M", bound=nn.Module)
 
@@ -51,7 +49,6 @@ def make(
     return module.to(dtype)
 
 
-BATCH = 10  # offsets a step
 HIDDEN, LAYERS = 64, 3
 STEPS = 3  # of Adam, for the parameter and for the network
 SMOOTHING = 0.1  # offset before rendering, in units of sigma
@@ -81,9 +78,8 @@ class Proxy(nn.Module):
 class ZeroGrads(Baseline):
     """ZeroGrads from the center of the box.
 
-    batch: offsets a step, each used with both signs; the population is 2 batch + 1.  None: the
-        largest that fits popsize (12: batch 5, a population of 11), and 10 without a popsize.
-    popsize: at least 3; beside a batch 2 batch + 1.
+    popsize: offsets with both signs and the parameter, at least 3, an even number less one;
+        None: 21.
     learning_rate: of the parameter.
     proxy_rate: of the network.
     sigma0: standard deviation of the offsets, at all times.
@@ -98,22 +94,12 @@ class ZeroGrads(Baseline):
         dim: int,
         target: object = None,
         *,
-        batch: int | None = None,
-        popsize: int | None = None,
         learning_rate: float = 1e-3,
         proxy_rate: float = 1e-2,
         **options: Any,
     ) -> None:
-        if batch is None:  # the largest odd number that is not above popsize
-            batch = BATCH if popsize is None else (whole_number("popsize", popsize, 3) - 1) // 2
-            popsize = None
-        self.batch = whole_number("batch", batch, 1)
-        super().__init__(dim, target, popsize=popsize, **options)
-        if self.popsize != 2 * self.batch + 1:
-            raise OptionError(
-                f"popsize must be 2 batch + 1 = {2 * self.batch + 1} for zerograds, not "
-                f"{self.popsize}; give one of the two"
-            )
+        super().__init__(dim, target, **options)
+        self.popsize -= self.popsize % 2 == 0
         self.learning_rate = positive("learning_rate", learning_rate)
         self.proxy_rate = positive("proxy_rate", proxy_rate)
         self._rng = np.random.default_rng(self.seed)
@@ -131,8 +117,8 @@ class ZeroGrads(Baseline):
 
     def _sample(self) -> Float64:
         theta = self.recommend()
-        offsets = self.sigma0 * self._rng.standard_normal((self.batch, self.dim))
-        around = theta + np.concatenate([offsets, -offsets])  # (2 batch, d), antithetic
+        offsets = self.sigma0 * self._rng.standard_normal((self.popsize // 2, self.dim))
+        around = theta + np.concatenate([offsets, -offsets])  # (popsize - 1, d), antithetic
         shift = SMOOTHING * self.sigma0 * self._rng.standard_normal(around.shape)
         points = np.clip(around, 0.0, 1.0)
         rendered = np.clip(around + shift, 0.0, 1.0)
@@ -163,4 +149,7 @@ class ZeroGrads(Baseline):
             self._proxy_adam.step()
 
     def _default_popsize(self) -> int:
-        return 2 * self.batch + 1
+        return 21
+
+    def _smallest_popsize(self) -> int:
+        return 3

@@ -47,7 +47,7 @@ def bench(render: Render, target: Float32) -> Bench:
 
 
 def stages(replica: Replica) -> tuple[str, int]:
-    return replica.optimizer.state.stage.value, replica.optimizer.state.searches
+    return replica.optimizer.state.moves.stage.value, replica.optimizer.state.searches
 
 
 def run(bench: Bench, replica: Replica, entries: int, first: int = 0) -> list[tuple[int, Float64]]:
@@ -72,8 +72,8 @@ def test_a_replica_alone_is_the_optimizer(bench: Bench) -> None:
     plain.state.stay_sharp()
     seen = set()
     while plain.evaluations < 400:
-        seen.add(plain.state.stage.value)
-        assert stages(replica) == (plain.state.stage.value, plain.state.searches)
+        seen.add(plain.state.moves.stage.value)
+        assert stages(replica) == (plain.state.moves.stage.value, plain.state.searches)
         X = plain.ask()
         assert replica.size == len(X)
         for slot, x in enumerate(X):
@@ -109,7 +109,7 @@ def test_replicas_agree_on_tests_and_moves_of_exchangeable_blocks(
     seen: set[str] = set()
     while not {"exchange", "removal", "restart"} <= seen or first.optimizer.evaluations < 600:
         assert first.optimizer.evaluations < 5000, seen  # about 300 are enough
-        seen.add(first.optimizer.state.stage.value)
+        seen.add(first.optimizer.state.moves.stage.value)
         for slot in reversed(range(first.size)):
             x = first.candidate(slot).x
             np.testing.assert_array_equal(second.candidate(slot).x, x)

@@ -29,5 +29,5 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "inverse": {"popsize": 20, "budget": 100, "share": 0.4, "epochs": 2, "width": 8, "blocks": 1},
     "random": {},
     "sge": {"popsize": 2},
-    "zerograds": {"batch": 4},
+    "zerograds": {"popsize": 9},
 }

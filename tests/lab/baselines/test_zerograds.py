@@ -39,7 +39,7 @@ def test_its_gradient_is_that_of_finite_differences() -> None:
 
 
 def test_a_step_by_hand() -> None:
-    opt = ZeroGrads(3, seed=4, batch=3, learning_rate=0.01, proxy_rate=3e-3)
+    opt = ZeroGrads(3, seed=4, popsize=7, learning_rate=0.01, proxy_rate=3e-3)
     network = make(lambda: Proxy(3), torch.Generator())
     network.load_state_dict(opt._proxy.state_dict())
     theta = torch.full((3,), 0.5)
@@ -67,7 +67,7 @@ def test_a_step_by_hand() -> None:
 
 
 def test_smoothing_moves_what_is_rendered_and_not_what_is_learned() -> None:
-    opt = ZeroGrads(50, seed=0, batch=40, sigma0=0.05)
+    opt = ZeroGrads(50, seed=0, popsize=81, sigma0=0.05)
     X = opt.ask()
     learned = np.array([opt._unshifted[x.tobytes()] for x in X[:80]])
     np.testing.assert_allclose(learned[:40] + learned[40:], 1.0, atol=1e-12)
@@ -78,13 +78,10 @@ def test_smoothing_moves_what_is_rendered_and_not_what_is_learned() -> None:
 @pytest.mark.parametrize(
     "options",
     [
-        {"batch": 0},
         {"learning_rate": 0.0},
         {"proxy_rate": -1.0},
         {"popsize": 2},
         {"popsize": 20.5},
-        {"popsize": 20, "batch": 10},
-        {"popsize": 21, "batch": 9},
     ],
     ids=str,
 )
@@ -93,12 +90,7 @@ def test_options_out_of_range_are_named(options: dict[str, Any]) -> None:
         ZeroGrads(2, **options)
 
 
-@pytest.mark.parametrize(("popsize", "batch"), [(3, 1), (4, 1), (12, 5), (20, 9), (21, 10)])
-def test_the_batch_is_the_largest_that_fits_the_population(popsize: int, batch: int) -> None:
-    opt, same = ZeroGrads(3, popsize=popsize, seed=0), ZeroGrads(3, batch=batch, seed=0)
-    assert (opt.batch, opt.popsize) == (batch, 2 * batch + 1)
-    for _ in range(3):
-        X = opt.ask()
-        np.testing.assert_array_equal(X, same.ask())
-        opt.tell(X, losses=valley(X))
-        same.tell(X, losses=valley(X))
+@pytest.mark.parametrize(("popsize", "taken"), [(3, 3), (4, 3), (20, 19), (21, 21)])
+def test_the_population_is_odd(popsize: int, taken: int) -> None:
+    opt = ZeroGrads(3, popsize=popsize, seed=0)
+    assert opt.popsize == len(opt.ask()) == taken

@@ -38,8 +38,8 @@ def scene(x: Float64, x_star: Float64, *, exchangeable: bool = True) -> Known:
         sigma0=SIGMA0,
         target=sample(target, x_star).tokens,
         channels=3,
-        exchangeability=Exchangeability(8, 3, BLOCKS.tolist() if exchangeable else []),
-        sensitivity=Sensitivity(8, 3),
+        exchangeability=Exchangeability(Axes(8), 3, BLOCKS.tolist() if exchangeable else []),
+        sensitivity=Sensitivity(Axes(8), 3),
         axes=Axes(8),
     )
     known.incumbent = rendered(known, x, x_star)

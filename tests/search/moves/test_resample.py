@@ -30,8 +30,8 @@ def scene(
         sigma0=np.full(d, 1 / 6),
         target=torch.zeros(16, 3),
         channels=3,
-        exchangeability=Exchangeability(d, 3, groups or [], axes),
-        sensitivity=Sensitivity(d, 3),
+        exchangeability=Exchangeability(axes, 3, groups or []),
+        sensitivity=Sensitivity(axes, 3),
         axes=axes,
     )
     known.incumbent = sample(np.zeros(16), x)

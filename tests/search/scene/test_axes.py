@@ -43,8 +43,8 @@ def known() -> Known:
         sigma0=np.full(DIM, 1 / 6),
         target=rendered(THERE).tokens,
         channels=3,
-        exchangeability=Exchangeability(DIM, 3, [], axes),
-        sensitivity=Sensitivity(DIM, 3, axes),
+        exchangeability=Exchangeability(axes, 3, []),
+        sensitivity=Sensitivity(axes, 3),
         axes=axes,
         place=SPACE.snap,
     )
@@ -64,7 +64,7 @@ def test_a_sensitivity_sample_moves_one_parameter(known: Known, rng: np.random.G
     parts = [sorted(part.tolist()) for part in known.sensitivity.groups]
     assert sorted(parts) == [[0], [1], FLOOR, [6], LAMP], "each shows in a place of its own"
     saved = known.sensitivity.state_dict()
-    other = Sensitivity(DIM, 3, Axes(DIM, SPACE.layout))
+    other = Sensitivity(Axes(DIM, SPACE.layout), 3)
     other.load_state_dict(saved)
     assert [part.tolist() for part in other.groups] == [
         part.tolist() for part in known.sensitivity.groups

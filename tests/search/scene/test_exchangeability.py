@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from fide_plugins.errors import OptionError
+from fide_plugins.search.mixed import Axes
 from fide_plugins.search.scene import Exchangeability, check_groups
 from fide_plugins.types import Float64
 
@@ -30,7 +31,7 @@ def find(
     def render(x: Float64) -> Any:
         return sample(image(x) + noise * rng.standard_normal(16), x)
 
-    found = Exchangeability(dim, 3)
+    found = Exchangeability(Axes(dim), 3)
     here, renders = render(rng.random(dim)), 0
     while not found.finished:
         X = found.draw(here.x)
@@ -115,9 +116,9 @@ def test_painted_blocks_are_found_and_known_to_be_ordered() -> None:
 def test_distance_is_that_of_the_best_order() -> None:
     x = np.array([0.1, 0.2, 0.5, 0.6, 0.8, 0.9, 0.3])
     y = np.array([0.5, 0.6, 0.8, 0.9, 0.1, 0.22, 0.3])
-    known = Exchangeability(7, 3, [[0, 1], [2, 3], [4, 5]])
+    known = Exchangeability(Axes(7), 3, [[0, 1], [2, 3], [4, 5]])
     assert known.distance(x, y) == pytest.approx(0.02)
-    assert Exchangeability(7, 3, []).distance(x, y) == pytest.approx(0.7)
+    assert Exchangeability(Axes(7), 3, []).distance(x, y) == pytest.approx(0.7)
     y[6] = 0.9
     assert known.distance(x, y) == pytest.approx(0.6)
 
@@ -139,9 +140,9 @@ def test_state_goes_on_between_rounds() -> None:
     layout = contiguous(6, 3)
     x = np.random.default_rng(0).random(23)
     here = sample(additive(x, layout), x)
-    original = Exchangeability(23, 3)
+    original = Exchangeability(Axes(23), 3)
     while not original.finished:
-        copy = Exchangeability(23, 3)
+        copy = Exchangeability(Axes(23), 3)
         copy.load_state_dict(original.state_dict())
         np.testing.assert_array_equal(copy.draw(x), original.draw(x))
         for each in (original, copy):

@@ -39,7 +39,7 @@ def posterior(first: int, second: int) -> Float64:
 
 def of(losses: list[float], X: Float64, hypotheses: Float64, typical: float | None) -> Float64:
     dim = X.shape[1]
-    tools = Exchangeability(dim, None, []), Axes(dim)
+    tools = Exchangeability(Axes(dim), None, []), Axes(dim)
     return probabilities(losses, X, hypotheses, typical, None, *tools)
 
 
@@ -74,7 +74,7 @@ def test_what_the_picture_does_not_show_decides_nothing() -> None:
     hypotheses = rng.random((300, 2))
     hypotheses[:, 0] = 0.3 + 0.4 * (np.arange(300) < 100) + 0.02 * rng.standard_normal(300)
     X = np.array([[0.3, 0.05], [0.7, 0.95]])
-    shares = _nearest_shares(X, hypotheses, Exchangeability(2, None, []), Axes(2))
+    shares = _nearest_shares(X, hypotheses, Exchangeability(Axes(2), None, []), Axes(2))
     np.testing.assert_allclose(shares, [2 / 3, 1 / 3], atol=0.02)
 
 
@@ -83,7 +83,7 @@ def test_orders_of_blocks_are_one_answer() -> None:
     blocks = [[0, 1], [2, 3]]
     other = np.array([0.1, 0.1, 0.9, 0.9])
     hypotheses = np.concatenate([posterior(90, 90), around(other, 60, 4)])
-    tools = Exchangeability(4, None, blocks), Axes(4)
+    tools = Exchangeability(Axes(4), None, blocks), Axes(4)
     shares = _nearest_shares(np.stack([B, other]), hypotheses, *tools)
     np.testing.assert_allclose(shares, [0.75, 0.25])
 
@@ -92,7 +92,7 @@ def test_a_circle_has_no_ends() -> None:
     layout = Space(turn=Float(0, 1, periodic=True)).layout
     hypotheses = np.array([[0.98], [0.02], [0.97], [0.5]])
     shares = _nearest_shares(
-        np.array([[0.01], [0.6]]), hypotheses, Exchangeability(1, None, []), Axes(1, layout)
+        np.array([[0.01], [0.6]]), hypotheses, Exchangeability(Axes(1), None, []), Axes(1, layout)
     )
     np.testing.assert_allclose(shares, [0.75, 0.25])
 
