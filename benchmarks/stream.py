@@ -53,8 +53,8 @@ def stream(number: int) -> tuple[list[dict[str, float]], list[NDArray[np.uint8]]
     rng = np.random.default_rng((11, number))
     names = ("graf1", "graf3") if number % 2 == 0 else ("graf3", "graf1")
     wall, other = (cv2.cvtColor(foreign._photograph(name), cv2.COLOR_RGB2GRAY) for name in names)
-    wall = cv2.resize(wall.astype(np.float32) / 255, (240, 192))
-    other = cv2.resize(other.astype(np.float32) / 255, (200, 160))
+    wall = cv2.resize(np.asarray(wall, np.float32) / 255, (240, 192))
+    other = cv2.resize(np.asarray(other, np.float32) / 255, (200, 160))
     truth, frames = poses(rng), []
     for t, p in enumerate(truth):
         image, cover = draw(p)
@@ -66,7 +66,7 @@ def stream(number: int) -> tuple[list[dict[str, float]], list[NDArray[np.uint8]]
         noisy = cv2.GaussianBlur(lit, (0, 0), 0.6) + rng.normal(0, 0.015, frame.shape)
         pixels = np.clip(255 * noisy, 0, 255).astype(np.uint8)
         packed = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 75])[1]
-        frames.append(cv2.imdecode(packed, cv2.IMREAD_GRAYSCALE).astype(np.uint8))
+        frames.append(np.asarray(cv2.imdecode(packed, cv2.IMREAD_GRAYSCALE), np.uint8))
     return truth, frames
 
 

@@ -81,7 +81,7 @@ class Fitting:
         self._shown_at = 0.0
         self._std: Float64 | None = None
         self._std_renders = 0
-        self._pool = self.workers
+        self._pool, self._lines = self.workers, list[str]()  # of the plan
         if self.schedule is None:
             return
         if self.record.fineness is None:
@@ -120,10 +120,11 @@ class Fitting:
         seconds, schedule = self.stopping.seconds, self.schedule
         if schedule and seconds and not self.record.evaluations and loop.stopped is None:
             with interrupts.stoppable():
-                plan = planned(schedule, self.optimizer, self._pool, self.timeout, seconds)
-            if plan and self._report is not None and sys.stderr is not None:
+                self._lines = planned(schedule, self.optimizer, self._pool, self.timeout, seconds)
+            if self._report is not None and sys.stderr is not None:
+                lines = [f"plan: {line}\n" for line in self._lines]
                 clear = "\r\x1b[K" if sys.stderr.isatty() else ""
-                print(f"{clear}plan: {plan}", file=sys.stderr)
+                print(clear, *lines, sep="", end="", file=sys.stderr)
         stopped = loop.run()
         if stopped != "callback":
             self._judge()
@@ -316,9 +317,9 @@ class Fitting:
         except Exception:
             state = "failed" if state == "finished" else state
             with suppress(Exception):
-                saved.leave(state, stopped, record, optimizer, self._solutions)
+                saved.leave(state, stopped, record, optimizer, self._solutions, self._lines)
             raise
-        saved.leave(state, stopped, record, optimizer, self._solutions)
+        saved.leave(state, stopped, record, optimizer, self._solutions, self._lines)
 
     @cached_property  # of the end: files and result share it, and its standard deviations
     def _solutions(self) -> list[Solution]:
@@ -348,6 +349,7 @@ class Fitting:
             stopped=stopped,
             out=None if self.saved is None else self.saved.path,
             std_renders=self._std_renders,
+            plan=tuple(self._lines),
             unsaved=partial(write_later, optimizer, record, self.plan, stopped, solutions),
         )
 

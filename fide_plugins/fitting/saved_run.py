@@ -48,8 +48,9 @@ class SavedRun(RunDirectory):
         record: Record,
         optimizer: FIDE,
         solutions: Sequence[Solution],
+        plan: Sequence[str] = (),
     ) -> None:
-        """Write totals and the summary; stopped, solutions: see `Result`."""
+        """Write totals and the summary; stopped, solutions, plan: see `Result`."""
         image = None if record.image is None else best_compared(optimizer)
         known = totals_of(
             self.settings,
@@ -65,6 +66,7 @@ class SavedRun(RunDirectory):
             "failures": record.failures,
             "clipped": optimizer.clipped,
             "cost": record.cost,
+            **({"plan": list(plan)} if plan else {}),
             "solutions": solutions_as_data(solutions),
         }
         writes = [

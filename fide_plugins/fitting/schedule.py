@@ -308,8 +308,8 @@ _OWN = 0.001  # seconds that the optimizer takes for a candidate
 
 def planned(
     schedule: Schedule, optimizer: FIDE, workers: Workers, timeout: float | None, seconds: float
-) -> str:
-    """Leave out sizes that save no time; says which are left, and how many renders fit in.
+) -> list[str]:
+    """Leave out sizes that save no time; lines of the plan of a fit of so many seconds.
 
     Each size is rendered where the search begins, which counts as cost; where a render fails
     nothing is known.  workers: without a schedule.
@@ -322,20 +322,29 @@ def planned(
             if isinstance(outcome, Rendered):
                 took[k] = outcome.seconds
     if len(took) < len(schedule.sizes):
-        return ""
+        return []
     kept = [len(schedule.sizes) - 1]
     for k in reversed(range(kept[0])):
         if took[k] <= _CHEAPER * took[kept[0]]:
             kept.insert(0, k)
     sizes = [_pixels(schedule.sizes[k]) + f" ({duration(took[k])})" for k in kept]
     out = [_pixels(schedule.sizes[k]) for k in took if k not in kept]
+    first = f"pictures of {', '.join(sizes)} pixels"
+    if out:
+        first += f"; not {', '.join(out)}, which save no time"
     schedule.keep(kept)
-    left = f"; not {', '.join(out)}, which save no time" if out else ""
-    number = max(1, workers.number)
-    coarse, fine = (number / (took[k] + _OWN * number) for k in (kept[0], kept[-1]))
-    share = SHARE if len(kept) > 1 else 0.0  # of the time, at most, until they are of full size
+    return [first, _pace(took[kept[0]], took[kept[-1]], seconds, max(1, workers.number))]
+
+
+def _pace(least: float, most: float, seconds: float, number: int) -> str:
+    """How many renders fit in, whose smallest and largest take so many seconds."""
+    coarse, fine = (number / (one + _OWN * number) for one in (least, most))
+    share = SHARE if least < most else 0.0
     renders = seconds * (share * coarse + (1 - share) * fine)
-    return f"pictures of {', '.join(sizes)} pixels{left}; about {renders:,.0f} renders"
+    second = f"about {renders:,.0f} renders in {duration(seconds)}, {number} at a time"
+    if share:
+        second += f"; of full size after {duration(share * seconds)} at the latest"
+    return second
 
 
 def _pixels(size: tuple[int, int]) -> str:
