@@ -167,6 +167,13 @@ def test_what_ends_its_process_or_hangs_needs_one_of_its_own() -> None:
     assert facts.kills and facts.workers >= 1
 
 
+def test_renders_to_plan() -> None:
+    planned = [Facts(dim, dim, median=1.0, number=4) for dim in (3, 40, 100, 160)]
+    assert [facts.budget for facts in planned] == [2000, 4000, 10_000, 24_000]
+    assert planned[0].workers == 4 and planned[0].seconds_of_fit == pytest.approx(502)
+    assert Facts(2, 2, median=0.001, number=4).workers == 0
+
+
 def test_views_types_and_wrong_images() -> None:
     images = iter([[np.zeros((4, 6), np.uint8), np.ones((2, 3, 4), np.float32)], None, "no.png"])
     facts = check(lambda x: next(images, np.zeros((4, 6, 5))), 1, workers=0)
