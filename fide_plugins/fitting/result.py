@@ -54,8 +54,8 @@ class Result:
     out: run directory; None without.
     optimizer: goes on where the fit has ended.
     cost: of all renders, in full ones, by pixels times samples; see `Fidelity`.
-    plan: two lines on how a fit with a `time`, by a renderer that takes `size`, `samples` or `seed`,
-        was to spend it; else none.
+    plan: two lines on how a fit with a `time` was to spend it, by a renderer that takes `size`,
+        `samples` or `seed`; else none.
     std_renders: renders around the answer, beside the evaluations, from which `best.std` is
         computed; 0: it is rough, from samples of the search, or was read.
     value_range: values of target and images that are black and white; None: 0 and 1.
