@@ -1,4 +1,4 @@
-"""The laboratory of FIDE: looks at runs, rivals, comparisons and their reports.
+"""The laboratory of FIDE: figures and pages of runs, rivals, comparisons and their reports.
 
 Nothing in `fide_plugins` needs it but names, such as the loss `lpips`.
 
