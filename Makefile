@@ -12,9 +12,9 @@ KEEP := PYTHONDONTWRITEBYTECODE=
 # browsers, renderers and other processes; what they compute is tested in these, and tests/README.md
 # has their own last results.
 NUMERIC := $(addprefix tests/,adapters/nevergrad adapters/optuna denoiser encoders extremes fide \
-  lab/baselines learning losses options population proposers runtime search space speed uncertainty validation views)
+  lab/baselines lab/pretrained learning losses options population proposers runtime search space speed uncertainty validation views)
 # with two threads, so in one process: the parts, and the optimizer
-CORE := $(addprefix tests/,adapters/optuna denoiser encoders fide losses options population proposers \
+CORE := $(addprefix tests/,adapters/optuna denoiser encoders fide lab/pretrained losses options population proposers \
   search space speed uncertainty validation views)
 # of `wheel`: all that a user starts, which finds out whether a file or an entry point is missing
 OUTSIDE := $(addprefix tests/,adapters cli fide fitting lab/compare lab/report lab/run lab/suite lab/sweep learning losses package \

@@ -40,7 +40,7 @@ from fide_plugins.search.policy import MovePolicy
 from fide_plugins.search.scene import APART
 from fide_plugins.space import Space
 from fide_plugins.space.constraints import constraints_not_stored
-from fide_plugins.state import State
+from fide_plugins.state import FOLLOWED, State
 from fide_plugins.types import Float64, Posterior, Solution
 from fide_plugins.validation.points import (
     as_points,
@@ -743,7 +743,10 @@ class FIDE(Saved):
         state = self.state
         with timed(self.state.times, "search"):
             recalled = state.recall(evaluator.target_tokens, self.guess, self.popsize)
-            known, last = bool(recalled.samples), self.best if state.moves.descends else None
+            known, last = bool(recalled.samples), None
+            if state.moves.descends and (state.best is not None or posterior is None):
+                last = self.guess if state.best is None else state.best.solution.x
+            apart = self.sigma0 if state.best is None else FOLLOWED
             guesses = np.empty((0, self.dim)) if posterior is None else posterior.x
             if posterior is not None and (
                 last is not None or (known and state.moves.is_wider(posterior, recalled.start))
@@ -759,7 +762,7 @@ class FIDE(Saved):
                 self._use_model_only()
             if last is not None:
                 rng = np.random.default_rng((self.seed, 2, self.evaluations))
-                state.follow(last.x, guesses, rng)
+                state.follow(last, apart, guesses, rng)
             self.draw_generation(recalled.hypotheses if last is None else None)
 
     def _use_model_only(self) -> None:

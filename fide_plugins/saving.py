@@ -173,7 +173,7 @@ def _possible(path: str | os.PathLike[str]) -> Iterator[None]:
         raise
     except IMPOSSIBLE as error:
         why = f"{os.fspath(path)}: a checkpoint with impossible contents ({error!r})"
-        remedy = "start again, or use an earlier copy"
+        remedy = "start again, or take an earlier copy, or the version of FIDE that wrote it"
         if isinstance(error, UnknownNameError):
             remedy = (
                 "give an encoder of your own again, load(path, encoder=...), or register what it "

@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 
 
 _GAIN = 0.1  # of the loss, below which an improvement does not count
-_FOLLOWED = 0.03  # of the unit cube: standard deviation around the last answer, of a photograph
+FOLLOWED = 0.03  # of the unit cube: standard deviation around the last answer, of a photograph
 _MOST_INJECTED = 1000  # points never asked that are remembered until a generation is complete
 _ENOUGH, _FEWEST = 1 / 2, 4  # of the results of a generation, and results, for a preview
 
@@ -393,9 +393,11 @@ class State:
         self.moves.retarget(target, start, posterior)
         self._begin_search()
 
-    def follow(self, x: Float64, guesses: Float64, rng: np.random.Generator) -> None:
+    def follow(
+        self, x: Float64, std: Float64 | float, guesses: Float64, rng: np.random.Generator
+    ) -> None:
         """Begin with descents from around the last answer x (d,), and from guesses (n, d)."""
-        self.moves.begin_around(x, _FOLLOWED, rng, guesses)
+        self.moves.begin_around(x, std, rng, guesses)
         self._go_on()
 
     def recall(self, new: torch.Tensor, guess: Float64 | None, popsize: int) -> Recalled:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import io
+import json
 import os
 import shutil
 import signal
@@ -66,6 +67,16 @@ VGG19 = dict(
     )
 )  # fmt: skip
 LPIPS = (64, 192, 384, 256, 256)  # channels
+# Very small DINO networks, kind: class in transformers, its settings.
+TINY: dict[str, Any] = {"hidden_size": 32, "num_hidden_layers": 2, "num_attention_heads": 2}
+DINO: dict[str, tuple[str, dict[str, Any]]] = {
+    "dinov3": ("DINOv3ViT", {"patch_size": 16, "intermediate_size": 64, "num_register_tokens": 4}),
+    "dinov2": ("Dinov2", {"patch_size": 14, "image_size": 56, "mlp_ratio": 2}),
+    "dinov2 with registers": (
+        "Dinov2WithRegisters",
+        {"patch_size": 14, "image_size": 56, "mlp_ratio": 2, "num_register_tokens": 3},
+    ),
+}
 
 
 SIDE = 16  # pixels of the small renderer's images
@@ -329,3 +340,23 @@ def no_weights(tmp_path: Path) -> Iterator[Path]:
     torch.hub.set_dir(tmp_path / "empty")
     yield tmp_path / "empty"
     torch.hub.set_dir(before)
+
+
+@pytest.fixture(scope="session")
+def dino_folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Folders, by kind, of very small networks with random weights, saved by transformers."""
+    transformers = pytest.importorskip("transformers")
+    transformers.utils.logging.disable_progress_bar()
+    folders: dict[str, Path] = {}
+    for kind, (name, settings) in DINO.items():
+        config = getattr(transformers, f"{name}Config")(**TINY, **settings)
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(len(folders))
+            network = getattr(transformers, f"{name}Model")(config).float()  # whoever asks first
+            for parameter in network.parameters():  # gains and offsets, too, are not trivial
+                parameter.data += 0.1 * torch.randn_like(parameter)
+        folders[kind] = tmp_path_factory.mktemp("dino") / kind
+        network.save_pretrained(folders[kind])
+    colors = {"image_mean": [0.485, 0.456, 0.406], "image_std": [0.229, 0.224, 0.225]}
+    (folders["dinov3"] / "preprocessor_config.json").write_text(json.dumps(colors))
+    return folders

@@ -71,8 +71,8 @@ def register(name: str, factory: Callable[..., Callable[..., object]] | str) -> 
 
 
 register("dense", "fide_plugins.encoders.dense:DenseEncoder")
-register("dinov3", "fide_plugins.encoders.pretrained.dinov3:DinoEncoder")
-register("efficientnet", "fide_plugins.encoders.pretrained.efficientnet:EfficientNetEncoder")
+register("dinov3", "fide_lab.pretrained.dinov3:DinoEncoder")
+register("efficientnet", "fide_lab.pretrained.efficientnet:EfficientNetEncoder")
 register("patch", "fide_plugins.encoders.patch:RawPatchEncoder")
 register("texture", "fide_plugins.encoders.texture:TextureEncoder")
-register("vgg19", "fide_plugins.encoders.pretrained.vgg19:VGG19Encoder")
+register("vgg19", "fide_lab.pretrained.vgg19:VGG19Encoder")

@@ -27,7 +27,7 @@ class Fidelity:
     samples: fewest and most samples of a pixel.  None: none but the finest.
     """
 
-    size: tuple[int, int] | None = (32, 256)
+    size: tuple[int, int] | None = None
     samples: tuple[int, int] | None = (1, 64)
 
     def __post_init__(self) -> None:

@@ -81,7 +81,8 @@ class Fitting:
         self._shown_at = 0.0
         self._std: Float64 | None = None
         self._std_renders = 0
-        self._pool, self._lines = self.workers, list[str]()  # of the plan
+        self._pool = self.workers
+        self._lines: list[str] = [] if self.saved is None else self.saved.lines  # of the plan
         if self.schedule is None:
             return
         if self.record.fineness is None:
@@ -350,7 +351,9 @@ class Fitting:
             out=None if self.saved is None else self.saved.path,
             std_renders=self._std_renders,
             plan=tuple(self._lines),
-            unsaved=partial(write_later, optimizer, record, self.plan, stopped, solutions),
+            unsaved=partial(
+                write_later, optimizer, record, self.plan, stopped, solutions, self._lines
+            ),
         )
 
 

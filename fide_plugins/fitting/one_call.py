@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from inspect import signature
 from textwrap import shorten
 from typing import Any
@@ -215,14 +216,17 @@ def prepare(
     schedule = schedule_for(render, fidelity, optimizer)
     keywords = {} if schedule is None else schedule.finest()
     renderer = Renderer(render, optimizer.space, optimizer.value_range is not None, keywords)
-    pool = workers_for(renderer, number, executor, limit)
-    if check_first:
-        _check_first(optimizer, pool, limit)
     plan = _plan(render, optimizer, stopping, options, schedule)
     record, saved = None, None
-    if out is not None:
-        saved = SavedRun(out, **plan, resume=resume, command=command)
-        record = saved.begin(optimizer)
+    with ExitStack() as refused:
+        pool = workers_for(renderer, number, executor, limit)
+        refused.callback(pool.close)
+        if check_first:
+            _check_first(optimizer, pool, limit)
+        if out is not None:
+            saved = SavedRun(out, **plan, resume=resume, command=command)
+            record = saved.begin(optimizer)
+        refused.pop_all()
     return Fitting(
         optimizer, renderer, pool, stopping, watchers, record or Record(), saved, plan,
         limit, progress, checkpoint_every, max_failures, schedule,
@@ -241,10 +245,8 @@ def _check_first(optimizer: FIDE, pool: Workers, limit: float | None) -> None:
             canonical(optimizer, outcome.image)
             return
     except ImageError as error:
-        pool.close()
         raise type(error)(f"the first render gave no image that fits: {error}") from error
     if outcome.broken:
-        pool.close()
         told = outcome.reason in outcome.details  # a traceback ends with the reason
         shown = outcome.details if told else f"{outcome.reason}\n{outcome.details}".rstrip()
         raise RenderError(f"the first render failed: {shown}")

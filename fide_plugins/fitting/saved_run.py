@@ -30,6 +30,11 @@ _CONTENTS = ("mask", "weights", "value_range")
 class SavedRun(RunDirectory):
     """The run directory of a fit."""
 
+    @property
+    def lines(self) -> list[str]:
+        """Lines of the plan that the run was begun with, see `Result.plan`."""
+        return list((self._run.get("totals") or {}).get("plan", ()))
+
     def begin(self, optimizer: FIDE) -> Record | None:
         """Restore the optimizer, and write what is known; the record that was saved, if any."""
         with ExitStack() as refused:
@@ -100,11 +105,13 @@ def write_later(
     plan: Mapping[str, Any],
     stopped: str,
     solutions: Sequence[Solution],
+    lines: Sequence[str],
     path: str | os.PathLike[str],
 ) -> None:
     """Write a fit without a run directory into one; FideError if that cannot be done, OSError.
 
-    record: None where it has stopped in the midst of a step.  plan: arguments of `SavedRun`.
+    record: None where it has stopped in the midst of a step.  plan: arguments of `SavedRun`; lines:
+        those of `Result.plan`.
     """
     if record is None:
         raise OptionError("the fit was stopped in the midst of a step, and cannot be saved")
@@ -117,7 +124,7 @@ def write_later(
         saved.begin(optimizer)
         saved.save(record, optimizer, *best_pictures(record, optimizer))
         state = stopped if stopped in ("interrupted", "failed") else "finished"
-        saved.leave(state, stopped, record, optimizer, solutions)
+        saved.leave(state, stopped, record, optimizer, solutions, lines)
 
 
 def settings_of(name: str, optimizer: FIDE, options: Mapping[str, Any]) -> dict[str, Any]:
@@ -213,7 +220,8 @@ def load_run(
         record, _ = read_record(path, int(settings["dim"]), settings["size"])
         solutions = with_std(optimizer.solutions(), run)
         state = "running" if run["state"] == "running" else run.get("stopped", run["state"])
-        params = totals.get("params") if isinstance(totals, dict) else None
+        known = totals if isinstance(totals, dict) else {}
+        params, plan = known.get("params"), tuple(map(str, known.get("plan", ())))
     best = optimizer.best
     if best is not None:
         params = best.params or params or best.x.copy()  # a task has a space that FIDE lacks
@@ -227,4 +235,5 @@ def load_run(
         busy=math.nan,
         stopped=str(state),
         out=path,
+        plan=plan,
     )

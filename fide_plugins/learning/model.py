@@ -242,7 +242,8 @@ class Model:
             return cls._of(state)
         except IMPOSSIBLE as error:
             why = f"{os.fspath(path)}: a model with impossible contents ({error!r})"
-            raise CheckpointError(f"{why}; learn again, or use an earlier copy") from error
+            remedy = "learn again, or take an earlier copy, or the version of FIDE that wrote it"
+            raise CheckpointError(f"{why}; {remedy}") from error
 
     @classmethod
     def _of(cls, state: Mapping[str, Any]) -> Self:

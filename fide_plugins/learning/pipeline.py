@@ -58,8 +58,11 @@ def blocks_of(renderer: BatchRenderer, groups: Sequence[Sequence[int]] | None) -
         return []
     blocks: list[list[int]] = check_groups(groups, renderer.dim).tolist()
     wraps = np.array(renderer.periodic)[np.array(blocks, np.intp)]
-    if (wraps != wraps[0]).any():
-        raise OptionError("groups must be alike: parameters in one place are periodic, or none is")
+    for i in np.flatnonzero((wraps != wraps[:1]).any(axis=0)):
+        raise OptionError(
+            f"groups must be alike: of {[block[i] for block in blocks]}, which have one place in "
+            "their groups, all parameters must be periodic, or none"
+        )
     return blocks
 
 

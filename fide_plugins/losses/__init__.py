@@ -126,7 +126,7 @@ def resolve(
 
 
 register("loi", "fide_plugins.losses.loi:LocallyOrderlessLoss")
-register("lpips", "fide_plugins.losses.lpips:LPIPSLoss")
+register("lpips", "fide_lab.pretrained.lpips:LPIPSLoss")
 register("mse", "fide_plugins.losses.base:MeanSquaredError")
 register("perceptual", "fide_plugins.losses.perceptual:PerceptualLoss")
 register("texture", "fide_plugins.losses.texture:TextureLoss")

@@ -23,7 +23,7 @@ from .schema import IMPOSSIBLE
 
 __all__ = ["VERSION", "VERSION_REMEDY", "read", "write"]
 
-VERSION = 7
+VERSION = 8
 VERSION_REMEDY = "take the version of FIDE, and the weights, that wrote it"
 """What helps against a state whose features or losses are of another version."""
 _MAGIC = b"\x89FIDE\r\n\x1a"

@@ -25,7 +25,7 @@ def module(name: str = "") -> Any:
     """
     if not is_installed():
         raise DependencyError(
-            f"{_ROOT} (rivals, looks at runs, comparisons, reports) is not installed: "
+            f"{_ROOT} (figures, pages of runs, rivals, comparisons) is not installed: "
             "install the whole of FIDE, or add its folder lab to PYTHONPATH"
         )
     return import_module(f"{_ROOT}.{name}".rstrip("."))

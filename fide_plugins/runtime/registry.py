@@ -54,12 +54,19 @@ class Registry(Generic[T]):
         return sorted(self._factories)
 
     def resolve(self, name: str) -> Callable[..., T]:
-        """Return the factory called `name`; raises `UnknownNameError` if there is none."""
+        """Return the factory called `name`.
+
+        Raises UnknownNameError, and DependencyError for one of a laboratory that is not installed.
+        """
         factory = self._factories.get(name) if isinstance(name, str) else None
         if factory is None:
             raise UnknownNameError.of(self._kind, name, [*self._factories, *self._patterns])
         if isinstance(factory, str):
             module, attribute = factory.split(":")
+            if module.startswith("fide_lab."):
+                from fide_plugins.runtime import laboratory
+
+                laboratory.module()  # raises DependencyError where it is not installed
             imported: Callable[..., T] = getattr(import_module(module), attribute)
             factory = self._factories[name] = imported
         return factory

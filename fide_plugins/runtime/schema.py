@@ -243,7 +243,7 @@ def each(schema: Schema, most: float = np.inf) -> Rule:
     """A list of values with this schema, so many at most."""
 
     def rule(value: Any, place: str, sides: Sides) -> Any:
-        _demand(isinstance(value, list) and len(value) <= most, place, f"is no list of {most}")
+        _demand(isinstance(value, list) and len(value) <= most, place, "is no list, or too long")
         return [check(one, schema, sides, f"{place}[{i}]") for i, one in enumerate(value)]
 
     return rule

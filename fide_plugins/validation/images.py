@@ -232,7 +232,7 @@ def _to_array(
     try:
         array = np.asarray(image)  # also of rows
     except (TypeError, ValueError, RuntimeError) as e:
-        raise ImageError(f"{what} is not an image: {e}") from e
+        raise ImageError(f"{what} is not an image: {e}; give one array (H, W) or (H, W, C)") from e
     got = describe(array) if array.ndim else type(image).__name__
     return typed(array, what, got, raw), False
 

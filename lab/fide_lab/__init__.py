@@ -1,6 +1,6 @@
-"""The laboratory of FIDE: looks at runs, rivals, comparisons and their reports.
+"""The laboratory of FIDE: figures and pages of runs, rivals, comparisons and their reports.
 
-Nothing in `fide_plugins` needs it.
+Nothing in `fide_plugins` needs it but names, such as the loss `lpips`.
 
 ============  ==================================================================
 `figures`     figures of runs
@@ -14,6 +14,7 @@ Nothing in `fide_plugins` needs it.
 `sweep`       comparisons over combinations of options, and their Pareto front
 `report`      tables, charts and one HTML page about a comparison
 `suite`       a fixed set of problems, and the page of its results
+`pretrained`  encoders and a loss of pretrained networks
 `cli`         commands of `fide` for all of these
 ============  ==================================================================
 """

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -46,9 +46,8 @@ def keep_pictures(fitting: Fitting, workers: int | None, result: Any, out: Path)
     if not len(X):
         return
     number = 0 if workers == 0 else min(fitting.workers.number, len(X))
-    pool = workers_for(fitting.renderer, number, None, fitting.timeout)
-    outcomes = list(gathered(pool, X, fitting.timeout))
-    pool.close()
+    with closing(workers_for(fitting.renderer, number, None, fitting.timeout)) as pool:
+        outcomes = list(gathered(pool, X, fitting.timeout))
     kept: dict[str, list[Any]] = {"x": [], "images": []}
     for x, outcome in zip(X, outcomes, strict=True):
         if isinstance(outcome, Rendered):

@@ -149,6 +149,9 @@ def test_doctor(capsys: pytest.CaptureFixture[str]) -> None:
     for kind, name in [("tasks", "voronoi"), ("optimizers", "cma"), ("losses", "mse")]:
         assert facts[kind][name] is None
     assert facts["extras"].keys() == EXTRAS.keys()
+    assert fide("doctor") == 0
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert ["dense", "ok"] in lines and ["mse", "ok"] in lines and ["encoders"] in lines
 
 
 # -- interruption ----------------------------------------------------------------------------------

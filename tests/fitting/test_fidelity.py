@@ -119,9 +119,11 @@ def test_a_renderer_without_them_is_fitted_as_before(target: Float64) -> None:
 
 
 def test_sizes_are_asked_for_only_where_they_are_given(target: Float64) -> None:
-    asked: Asked = []
-    fit(renderer(asked), target, SPACE, 30, workers=0, seed=0, until="budget")
-    assert {size for _, size, *_ in asked} == {(64, 80)} and asked[0][2] == 1
+    for fidelity in (None, Fidelity(samples=(1, 16))):
+        asked: Asked = []
+        options: dict[str, Any] = {"workers": 0, "seed": 0, "fidelity": fidelity}
+        fit(renderer(asked), target, SPACE, 30, until="budget", **options)
+        assert {size for _, size, *_ in asked} == {(64, 80)} and asked[0][2] == 1
 
 
 def test_sizes_at_which_it_fails_are_left_out_and_said(target: Float64) -> None:

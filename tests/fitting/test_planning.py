@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from fide_plugins import FIDE, Fidelity, fit
+from fide_plugins import FIDE, Fidelity, fit, load_run
 from fide_plugins.fitting.fidelity import schedule_for
 from fide_plugins.fitting.rendering import Outcome, Rendered
 from fide_plugins.fitting.schedule import planned
@@ -56,5 +56,14 @@ def test_the_plan_is_printed_kept_and_made_once(
     assert all(f"plan: {line}\n" in printed for line in result.plan)
     totals = json.loads((tmp_path / "run.json").read_text())["totals"]
     assert totals["plan"] == list(result.plan) and totals["cost"] == result.cost
+    assert load_run(tmp_path).plan == result.plan
     again = fit(renderer(asked), target, SPACE, 12, resume=True, **options)
-    assert not again.plan and again.evaluations == 12 and asked[-1][1] == (64, 64)
+    assert again.plan == result.plan and again.evaluations == 12 and asked[-1][1] == (64, 64)
+    assert "plan:" not in capsys.readouterr().err
+
+
+def test_a_fit_that_is_saved_later_has_its_plan(target: Float64, tmp_path: Path) -> None:
+    options: dict[str, Any] = {"time": "10m", "fidelity": FIDELITY, "workers": 0, "seed": 0}
+    result = fit(renderer([]), target, SPACE, 8, until="budget", **options)
+    result.save(tmp_path)
+    assert len(result.plan) == 2 and load_run(tmp_path).plan == result.plan

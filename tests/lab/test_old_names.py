@@ -10,6 +10,9 @@ from pathlib import Path
 import pytest
 
 import fide_plugins
+from fide_plugins.errors import DependencyError
+from fide_plugins.runtime import laboratory
+from fide_plugins.runtime.registry import Registry
 
 WITHOUT = """
 import importlib.util, sys
@@ -48,6 +51,15 @@ def test_old_names_of_the_package(name: str) -> None:
 def without_the_laboratory(*words: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-c", WITHOUT, *words]
     return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def test_pretrained_networks_without_the_laboratory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(laboratory, "find_spec", lambda _: None)
+    registry: Registry[object] = Registry("loss")
+    registry.register("lpips", "fide_lab.pretrained.lpips:LPIPSLoss")
+    assert registry.names() == ["lpips"]
+    with pytest.raises(DependencyError, match="fide_lab .*PYTHONPATH"):
+        registry.make("lpips")
 
 
 def test_the_command_line_without_the_laboratory(tmp_path: Path) -> None:

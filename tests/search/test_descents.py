@@ -183,7 +183,7 @@ def test_the_next_photograph_begins_with_them_at_the_last_answer() -> None:
             assert optimizer.best is not None
             last = optimizer.best.x
             optimizer.retarget(photograph(x))
-            assert optimizer.state.stage is Stage.DESCENT
+            assert optimizer.state.moves.stage is Stage.DESCENT
             np.testing.assert_array_equal(optimizer.ask()[0], last)
         end = optimizer.evaluations + 140
         while optimizer.evaluations < end:
@@ -191,6 +191,17 @@ def test_the_next_photograph_begins_with_them_at_the_last_answer() -> None:
             optimizer.tell(X, [disk(one) for one in X])
         assert optimizer.best is not None
         assert np.abs(optimizer.best.x[:2] - x[:2]).max() < 0.02
+
+
+def test_before_any_result_the_next_photograph_begins_as_the_first() -> None:
+    optimizer = FIDE(3, photograph(), x0=ANSWER + 0.06, sigma0=0.05, photo=True, seed=0)
+    X = optimizer.ask()
+    optimizer.tell(X[:3], None, np.full(3, np.nan))
+    optimizer.retarget(photograph(ANSWER - 0.02))
+    assert optimizer.state.moves.stage is Stage.DESCENT
+    drawn = optimizer.ask()
+    np.testing.assert_array_equal(drawn[0], ANSWER + 0.06)
+    np.testing.assert_allclose(drawn.std(axis=0), X.std(axis=0), rtol=0.5)
 
 
 def test_hypotheses_are_among_the_starts_around_a_point() -> None:

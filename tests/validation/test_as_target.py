@@ -155,6 +155,14 @@ def test_whole_numbers_of_32_bits_are_refused_as_in_an_array(tmp_path: Path) -> 
             as_target(given_image)
 
 
+@pytest.mark.parametrize("ending", ["gif", "tif", "png"])
+def test_of_several_frames_the_first_is_taken(ending: str, tmp_path: Path) -> None:
+    frames = [Image.new("RGB", (6, 6), color) for color in ("red", "lime", "blue")]
+    frames[0].save(tmp_path / f"a.{ending}", save_all=True, append_images=frames[1:])
+    image = as_target(tmp_path / f"a.{ending}")
+    np.testing.assert_array_equal(image, np.broadcast_to([1, 0, 0], (6, 6, 3)))
+
+
 def test_a_missing_file(tmp_path: Path) -> None:
     with pytest.raises(ImageNotFoundError, match=r"no image file at .*gone\.png") as error:
         as_target(tmp_path / "gone.png")

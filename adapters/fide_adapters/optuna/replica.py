@@ -146,6 +146,12 @@ class Replica:
         z = self.optimizer.state.search.closest(x)
         return Candidate(self._population.drawn, x[0], z[0], CandidateRole.STEP)
 
+    def lose_step(self, generation: int) -> None:
+        """A step of that generation failed, or was pruned: its generation comes next."""
+        steps = self.optimizer.state.steps
+        if steps is not None and generation == self.generation:
+            steps.due, steps.remaining = False, 0
+
     def is_candidate(self, slot: int, x: Float64) -> bool:
         """Whether x (d,) is what becomes of the candidate in that slot."""
         return bool(np.abs(self._snap(self.candidate(slot).x) - x).max() <= _ROUNDING)

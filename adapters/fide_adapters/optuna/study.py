@@ -103,6 +103,9 @@ class StudyOptimizer:
             evaluation = evaluate(trial, self._only_stored) if self.space.holds(trial) else None
             if evaluation is None:
                 self.counts["left out"] += 1
+                ask = storage.read_ask(trial)
+                if ask is not None and ask.step and ask.optimizer == self.digest:
+                    self.replica.lose_step(ask.generation)
             else:
                 self._tell(trial, *evaluation)
 

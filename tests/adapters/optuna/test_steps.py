@@ -10,6 +10,7 @@ import optuna
 import pytest
 
 from fide_adapters.optuna import FIDESampler
+from fide_adapters.optuna.storage import read_ask
 
 from .conftest import Bench, counts_of, state_of
 
@@ -66,3 +67,24 @@ def test_who_asks_beside_others_gets_no_step(bench: Bench) -> None:
     counts = counts_of(study)
     assert 0 < counts["step"] <= 20  # one of three: the first
     assert counts["image"] == 60
+
+
+@pytest.mark.parametrize("error", [RuntimeError, optuna.TrialPruned])
+def test_after_a_step_that_fails_or_is_pruned_comes_a_generation(
+    bench: Bench, error: type[Exception]
+) -> None:
+    study = optuna.create_study(sampler=stepping(bench))
+    sampler = bench.sampler_of(study)
+
+    def objective(trial: optuna.Trial) -> float:
+        x = bench.suggest(trial)
+        ask = read_ask(study.trials[trial.number])
+        if ask is not None and ask.step:
+            raise error
+        return sampler.tell_image(trial, bench.render(x))
+
+    study.optimize(objective, n_trials=90, catch=(RuntimeError,))
+    asks = [read_ask(trial) for trial in study.trials]
+    failed = [ask.generation for ask in asks if ask is not None and ask.step]
+    assert len(failed) == len(set(failed)) > 5
+    assert sampler.counts(study)["left out"] == len(failed)

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
-from fide_plugins.encoders.pretrained import weights
-from fide_plugins.encoders.pretrained.weights import Published
+from fide_lab.pretrained import weights
+from fide_lab.pretrained.weights import Published
 
 _URL = "https://download.pytorch.org/models/"
 _ALEX, _VGG = "alexnet-owt-7be5be79.pth", "vgg19-dcbb9e9d.pth"

@@ -11,8 +11,8 @@ import os
 import torch
 from torch import Tensor
 
-from fide_plugins.encoders.pretrained import backbones
-from fide_plugins.encoders.pretrained.network import NetworkEncoder
+from fide_lab.pretrained import backbones
+from fide_lab.pretrained.network import NetworkEncoder
 from fide_plugins.errors import OptionError
 from fide_plugins.runtime.devices import digest
 

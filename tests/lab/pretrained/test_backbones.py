@@ -13,8 +13,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from fide_plugins.encoders.pretrained import backbones, weights
-from fide_plugins.encoders.pretrained.weights import Published
+from fide_lab.pretrained import backbones, weights
+from fide_lab.pretrained.weights import Published
 from fide_plugins.errors import WeightsMismatchError, WeightsNotFoundError
 
 C = "c1/1 r "

@@ -18,8 +18,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from fide_plugins.encoders.pretrained import backbones, weights as weights_module
-from fide_plugins.encoders.pretrained.weights import Published
+from fide_lab.pretrained import backbones, weights as weights_module
+from fide_lab.pretrained.weights import Published
 from fide_plugins.errors import ImageError, WeightsMismatchError
 from fide_plugins.losses.base import LossOfTarget
 from fide_plugins.runtime.devices import batch_size, digest, in_batches, on_device, resolve_device

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 import torch
 
+from fide_lab.pretrained import dinov3
+from fide_lab.pretrained.dinov3 import DinoEncoder
 from fide_plugins import encoders
-from fide_plugins.encoders.pretrained import dinov3
-from fide_plugins.encoders.pretrained.dinov3 import DinoEncoder
 from fide_plugins.errors import DependencyError, WeightsMismatchError, WeightsNotFoundError
 from fide_plugins.fide import FIDE
 

@@ -16,8 +16,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from fide_plugins.encoders.pretrained.network import IMAGENET_MEAN, IMAGENET_STD, NetworkEncoder
-from fide_plugins.encoders.pretrained.weights import check_finite
+from fide_lab.pretrained.network import IMAGENET_MEAN, IMAGENET_STD, NetworkEncoder
+from fide_lab.pretrained.weights import check_finite
 from fide_plugins.errors import WeightsMismatchError, WeightsNotFoundError
 from fide_plugins.runtime.devices import digest, has_bfloat16
 from fide_plugins.runtime.machine import missing

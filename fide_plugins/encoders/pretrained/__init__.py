@@ -1,1 +1,0 @@
-"""Encoders with pretrained networks: `dinov3`, `efficientnet`, `vgg19`; their base and weights."""

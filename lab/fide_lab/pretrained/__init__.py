@@ -1,0 +1,1 @@
+"""Pretrained networks: encoders `dinov3`, `efficientnet`, `vgg19`, the loss `lpips`; weights."""
