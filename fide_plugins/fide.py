@@ -25,7 +25,7 @@ from fide_plugins.population import (
     Population,
     columns,
 )
-from fide_plugins.proposers import make_proposer, make_steps
+from fide_plugins.proposers import make_proposer, make_step_model
 from fide_plugins.proposers.image_gate import ImageGate
 from fide_plugins.runtime.messages import warn_user
 from fide_plugins.runtime.registry import own_name
@@ -219,7 +219,7 @@ class FIDE(Saved):
             moves=moves,
             gate=ImageGate(o, subsets, known=learned),
             proposer=make_proposer(o, self.dim, k, self.seed, encoder, learned=learned),
-            steps=make_steps(o, self.dim, k, encoder, learned=learned),
+            steps=make_step_model(o, self.dim, k, encoder, learned=learned),
             memory=Memory(o.memory_mb),
             pixel_noise=PixelNoise(views),
             scales=scales,
@@ -245,13 +245,8 @@ class FIDE(Saved):
             if not population.remaining and (n is None or n > len(steps)):
                 self.draw_generation()
             rest = population.remaining if n is None else n - len(steps)
-            proposer, due = state.proposer, len(population.reserved) and state.samples
-            lazy = proposer is not None and proposer.lazy and rest > len(population.queue)
-            if proposer is not None and lazy and due:  # line 8, before it is asked
-                samples, state.samples = sorted(state.samples, key=BY_INDEX), []
-                state.learned += samples
-                with timed(state.times, "train"):
-                    proposer.update(*columns(samples), state.search.std)
+            if rest > len(population.queue):
+                self._learn_before_proposing()
             if rest:
                 self._make_next(rest)  # which may fail, before anything is handed out
             X = np.empty((rest, self.dim))
@@ -263,6 +258,17 @@ class FIDE(Saved):
             if len(steps):
                 self.hand_out_steps(steps)  # last: asking for the rest may fail
             return np.concatenate([steps, X])
+
+    def _learn_before_proposing(self) -> None:
+        """Line 8, within a generation: a lazy proposer learns what was told before it is asked."""
+        state, proposer = self.state, self.state.proposer
+        if proposer is None or not (proposer.lazy and self.state.samples):
+            return
+        if len(state.population.reserved):
+            samples, state.samples = sorted(state.samples, key=BY_INDEX), []
+            state.learned += samples
+            with timed(state.times, "train"):
+                proposer.update(*columns(samples), state.search.std)
 
     @one_at_a_time
     @one_thread
@@ -449,7 +455,7 @@ class FIDE(Saved):
             kept.note(points, batch, results.losses, self.evaluations, given=given)
         self.enter(points, results)
         if kept is not None:
-            from fide_plugins.comparing import adapt_light
+            from fide_plugins.adapt_comparison import adapt_light
 
             adapt_light(self)
         return results.losses
@@ -671,7 +677,7 @@ class FIDE(Saved):
 
     def _model_of(self, learned: Any, views: Views) -> tuple[Model | None, Posterior | None]:
         """A learned model, or that of a file, and what it says of the targets of views."""
-        from fide_plugins.learning.hypotheses import as_model, posterior_of
+        from fide_plugins.learning.posterior import as_model, posterior_of
 
         model = as_model(learned)
         if model is not None and self.options.photo and model.report.clutter is None:

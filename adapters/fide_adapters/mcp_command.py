@@ -183,8 +183,8 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
     try:
         made = server(tools)
     except ImportError as error:
-        what = f"an agent's server needs the package mcp ({error})"
-        return complain("fide mcp", str(missing("mcp", what)))
+        why = f"an agent's server needs the package mcp ({error})"
+        return complain("fide mcp", str(missing("mcp", why)))
     try:
         made.run()
     finally:

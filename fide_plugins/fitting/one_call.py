@@ -21,7 +21,7 @@ from fide_plugins.fitting.saved_run import SavedRun, seed_there, settings_of
 from fide_plugins.fitting.schedule import Schedule
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers import default_number, gathered, workers_for
-from fide_plugins.learning.hypotheses import with_model
+from fide_plugins.learning.posterior import with_model
 from fide_plugins.options import check_known
 from fide_plugins.recording.directory import of_files
 from fide_plugins.recording.record import Record

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fide_plugins.comparing import compare_finer, compare_first_at
+from fide_plugins.adapt_comparison import compare_finer, compare_first_at
 from fide_plugins.errors import ImageError
 from fide_plugins.fitting.pictures import as_told
 from fide_plugins.fitting.rendering import Failed, Outcome, Rendered, Workers

@@ -10,7 +10,7 @@ from fide_plugins.proposers.forward import GaussNewtonSteps
 from fide_plugins.proposers.linear import LinearProposer
 from fide_plugins.search.cma_es import are_many
 
-__all__ = ["Proposer", "make_proposer", "make_steps"]
+__all__ = ["Proposer", "make_proposer", "make_step_model"]
 
 _MOST_FOR_JACOBIAN = 100  # parameters; every step costs eigenvectors of as many
 
@@ -55,7 +55,7 @@ def make_proposer(
     )
 
 
-def make_steps(
+def make_step_model(
     options: Options, dim: int, popsize: int, encoder: PatchEncoder, *, learned: bool = False
 ) -> GaussNewtonSteps | None:
     """Gauss-Newton steps between the generations; None where the options name none.

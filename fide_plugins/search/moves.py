@@ -125,7 +125,7 @@ class Move(ABC):
     name: by which it is chosen and saved.
     prior_gain: share by which it is expected to lower the loss, as long as it was not tried.
     from_incumbent: whether its gain is measured from the incumbent, and it is chosen by its gain
-        (`policy.Choice`); otherwise the policy says when it is due.
+        (`policy.MoveChoice`); otherwise the policy says when it is due.
     has_goal: whether its search is over when it has no hope to become better than the incumbent.
     has_more: whether `draw` gives other candidates each time, which are as good as the first ones.
     with_blocks: whether it is for scenes with exchangeable blocks, or without; None: for both.

@@ -64,7 +64,7 @@ _LEAST = 1e-300  # gain or cost that can be
 _VAIN = 1e-200  # gain after thousands of vain tries, of which rates can still be compared
 
 
-class Choice(Stateful):
+class MoveChoice(Stateful):
     """A bandit that chooses among moves, by their gain per evaluation.
 
     The gain of a move is the fraction by which it lowered the loss.  Old outcomes count less and
@@ -185,7 +185,7 @@ class MovePolicy:
             family.append(ChangeValue())
         self.family: dict[str | None, Move] = {move.name: move for move in family}
         priors = {move.name: move.prior_gain for move in family}
-        self._choice = Choice(priors | _RESAMPLE, _COST * popsize)
+        self._choice = MoveChoice(priors | _RESAMPLE, _COST * popsize)
         self._rng = np.random.default_rng((seed, 1))
         self.start = Start(x0, self.known.sigma0)
         self.loss_only_searches, self.guided = 0, True

@@ -12,8 +12,8 @@ import torch
 from fide_plugins.errors import OptionError
 from fide_plugins.learning import LearnProgress, Model, emulator as inversion, learn
 from fide_plugins.learning.emulator import Emulator, inverted
-from fide_plugins.learning.hypotheses import posterior_of
 from fide_plugins.learning.networks import as_input
+from fide_plugins.learning.posterior import posterior_of
 from fide_plugins.learning.renders import Pixels
 from fide_plugins.learning.training import Training
 from fide_plugins.types import Float64

@@ -14,10 +14,10 @@ from torch.utils.flop_counter import FlopCounterMode
 import fide_tasks
 from fide_plugins.errors import OptionError
 from fide_plugins.learning import learn
-from fide_plugins.learning.hypotheses import _middle
 from fide_plugins.learning.judging import matched
 from fide_plugins.learning.networks import Autoregressive, Blocks
 from fide_plugins.learning.pipeline import blocks_of
+from fide_plugins.learning.posterior import _middle
 from fide_plugins.learning.renders import as_renderer
 from fide_plugins.space import Float, Space
 

@@ -22,7 +22,7 @@ LAYERS = (
     ("saving", "views"),
     ("comparison",),
     ("evaluation",),
-    ("comparing", "state"),
+    ("adapt_comparison", "state"),
     ("recording",),
     ("fide",),
     ("fitting",),

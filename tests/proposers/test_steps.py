@@ -10,7 +10,7 @@ from torch import Tensor
 from fide_plugins import encoders
 from fide_plugins.options import make_options
 from fide_plugins.population import TrainingSample
-from fide_plugins.proposers import make_steps
+from fide_plugins.proposers import make_step_model
 from fide_plugins.proposers.forward import GaussNewtonSteps
 from fide_plugins.types import Float64
 
@@ -119,6 +119,6 @@ def test_state(learned: bool) -> None:
 )  # fmt: skip
 def test_which_searches_have_them(proposer: str, dim: int, popsize: int, there: bool) -> None:
     options = make_options("balanced", {"proposer": proposer})
-    made = make_steps(options, dim, popsize, encoders.make("dense"))
+    made = make_step_model(options, dim, popsize, encoders.make("dense"))
     assert (made is not None) == there
-    assert make_steps(options, dim, popsize, encoders.make("dense"), learned=True) is None
+    assert make_step_model(options, dim, popsize, encoders.make("dense"), learned=True) is None

@@ -241,9 +241,14 @@ class Replica:
 
     def _expect_step(self, x: Float64) -> Role:
         """Expect a step x (d,), before a generation or beside it."""
+        population = self._population
         if 0 not in self._batches:
             self.optimizer.make_steps(1, np.random.default_rng(0))  # as who asked for it
-        self.optimizer.hand_out_steps(x[None])
+            self.optimizer.hand_out_steps(x[None])
+        else:  # it comes before these candidates, as where they were drawn later
+            drawn, population.drawn = population.drawn, self._batches[0][0].index - 1
+            self.optimizer.hand_out_steps(x[None])
+            population.drawn = drawn
         return Role.STEP
 
     def _expect_member(self, slot: int) -> Float64:

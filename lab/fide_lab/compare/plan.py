@@ -27,7 +27,7 @@ from fide_lab.run.task import Task, is_function
 from fide_lab.run.versions import of_losses, of_models, of_weights
 from fide_plugins import losses as losses_module
 from fide_plugins.errors import OptionError
-from fide_plugins.learning.hypotheses import with_model
+from fide_plugins.learning.posterior import with_model
 from fide_plugins.recording.directory import of_files
 from fide_plugins.renderers import FunctionRenderer
 from fide_plugins.runtime.messages import said_once, warn_user

@@ -19,7 +19,7 @@ from fide_lab.run.versions import of_losses, of_models, of_weights, that_count_l
 from fide_lab.suite import read as read_suite
 from fide_plugins import losses as losses_module
 from fide_plugins.errors import CheckpointError, FideError, OptionError, RenderError
-from fide_plugins.learning.hypotheses import with_model
+from fide_plugins.learning.posterior import with_model
 from fide_plugins.recording.directory import (
     RunDirectory,
     of_files,

@@ -88,3 +88,26 @@ def test_after_a_step_that_fails_or_is_pruned_comes_a_generation(
     failed = [ask.generation for ask in asks if ask is not None and ask.step]
     assert len(failed) == len(set(failed)) > 5
     assert sampler.counts(study)["left out"] == len(failed)
+
+
+def test_workers_that_ask_while_a_step_is_out_agree(bench: Bench) -> None:
+    """Some have drawn the generation before they know the result of the step, and some after."""
+    first = optuna.create_study(sampler=stepping(bench))
+    name, storage = first.study_name, first._storage
+    studies = [first]
+    for _ in range(2):
+        sampler = stepping(bench)
+        studies.append(optuna.load_study(study_name=name, storage=storage, sampler=sampler))
+    rng = np.random.default_rng(0)
+    running: list[tuple[optuna.Study, optuna.Trial]] = []
+    while len(first.trials) < 100 or running:
+        if len(running) < rng.integers(1, 4) and len(first.trials) < 100:
+            study = studies[rng.integers(3)]
+            running.append((study, study.ask(bench.space)))
+        elif running:
+            study, trial = running.pop(int(rng.integers(len(running))))
+            image = bench.render(bench.suggest(trial))
+            study.tell(trial, bench.sampler_of(study).tell_image(trial, image))
+    counts = [counts_of(study) for study in studies]
+    assert counts[0] == counts[1] == counts[2]
+    assert counts[0]["step"] > 0 and "altered" not in counts[0]
