@@ -54,7 +54,7 @@ class Result:
     out: run directory; None without.
     optimizer: goes on where the fit has ended.
     cost: of all renders, in full ones, by pixels times samples; see `Fidelity`.
-    plan: two lines on how a fit with a `time` was to spend it, by a renderer that takes `size`,
+    plan: three lines on how a fit with a `time` was to spend it, by a renderer that takes `size`,
         `samples` or `seed`; else none.
     std_renders: renders around the answer, beside the evaluations, from which `best.std` is
         computed; 0: it is rough, from samples of the search, or was read.

@@ -304,6 +304,7 @@ _ARRAYS = ("_halves", "_spreads", "_losses")
 
 _CHEAPER = 0.7  # of the time of the next size: a smaller one that takes more is left out
 _OWN = 0.001  # seconds that the optimizer takes for a candidate
+_TO_LEARN = 100_000  # renders
 
 
 def planned(
@@ -333,18 +334,20 @@ def planned(
     if out:
         first += f"; not {', '.join(out)}, which save no time"
     schedule.keep(kept)
-    return [first, _pace(took[kept[0]], took[kept[-1]], seconds, max(1, workers.number))]
+    return [first, *_pace(took[kept[0]], took[kept[-1]], seconds, max(1, workers.number))]
 
 
-def _pace(least: float, most: float, seconds: float, number: int) -> str:
-    """How many renders fit in, whose smallest and largest take so many seconds."""
+def _pace(least: float, most: float, seconds: float, number: int) -> list[str]:
+    """Lines on how many renders fit in, whose smallest and largest take so many seconds."""
     coarse, fine = (number / (one + _OWN * number) for one in (least, most))
     share = SHARE if least < most else 0.0
     renders = seconds * (share * coarse + (1 - share) * fine)
     second = f"about {renders:,.0f} renders in {duration(seconds)}, {number} at a time"
     if share:
         second += f"; of full size after {duration(share * seconds)} at the latest"
-    return second
+    learning = _TO_LEARN * least / number
+    third = f"to learn the renderer first takes about {duration(learning)}: for "
+    return [second, f"{third}{math.ceil(learning / seconds) + 1} pictures of it or more"]
 
 
 def _pixels(size: tuple[int, int]) -> str:

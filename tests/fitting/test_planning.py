@@ -39,7 +39,7 @@ def test_sizes_that_save_no_time_are_left_out(
     assert [size[0] for size in schedule.sizes] == kept
     small = None if kept == [64] else (kept[0], kept[0])
     assert optimizer.evaluator.size == small
-    assert len(lines) == 2 and ("save no time" in lines[0]) == (len(kept) < 3)
+    assert len(lines) == 3 and ("save no time" in lines[0]) == (len(kept) < 3)
     assert schedule.cost == pytest.approx(1 + 1 / 4 + 2 / 16)
 
 
@@ -51,7 +51,7 @@ def test_the_plan_is_printed_kept_and_made_once(
     options |= {"seed": 0, "until": "budget"}
     result = fit(renderer(asked), target, SPACE, 8, progress=True, **options)
     assert [size[0] for _, size, *_ in asked[:4]] == [16, 16, 32, 64]
-    assert len(result.plan) == 2 and asked[-1][1] == (64, 64)
+    assert len(result.plan) == 3 and asked[-1][1] == (64, 64)
     printed = capsys.readouterr().err
     assert all(f"plan: {line}\n" in printed for line in result.plan)
     totals = json.loads((tmp_path / "run.json").read_text())["totals"]
