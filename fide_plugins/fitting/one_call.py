@@ -217,15 +217,13 @@ def prepare(
     keywords = {} if schedule is None else schedule.finest()
     renderer = Renderer(render, optimizer.space, optimizer.value_range is not None, keywords)
     plan = _plan(render, optimizer, stopping, options, schedule)
-    record, saved = None, None
     with ExitStack() as refused:
         pool = workers_for(renderer, number, executor, limit)
         refused.callback(pool.close)
         if check_first:
             _check_first(optimizer, pool, limit)
-        if out is not None:
-            saved = SavedRun(out, **plan, resume=resume, command=command)
-            record = saved.begin(optimizer)
+        saved = None if out is None else SavedRun(out, **plan, resume=resume, command=command)
+        record = None if saved is None else saved.begin(optimizer)
         refused.pop_all()
     return Fitting(
         optimizer, renderer, pool, stopping, watchers, record or Record(), saved, plan,

@@ -66,4 +66,4 @@ def test_a_fit_that_is_saved_later_has_its_plan(target: Float64, tmp_path: Path)
     options: dict[str, Any] = {"time": "10m", "fidelity": FIDELITY, "workers": 0, "seed": 0}
     result = fit(renderer([]), target, SPACE, 8, until="budget", **options)
     result.save(tmp_path)
-    assert len(result.plan) == 2 and load_run(tmp_path).plan == result.plan
+    assert len(result.plan) == 3 and load_run(tmp_path).plan == result.plan
