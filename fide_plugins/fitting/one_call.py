@@ -196,9 +196,8 @@ def prepare(
 ) -> Fitting:
     """Check the arguments, and make or resume a fit; at most one image is rendered.
 
-    stopping: when it is over.  checkpoint_every: seconds between checkpoints.  command: to record.
+    stopping: when it is over.  checkpoint_every: seconds.  command: to record.  Others as for `fit`.
     check_first: whether one image is rendered before anything is written, see `_check_first`.
-    All else as for `fit`.
     """
     _check_render(render, named=isinstance(space, Space))
     if out == "" or (switch("resume", resume) and out is None):
