@@ -196,8 +196,9 @@ def prepare(
 ) -> Fitting:
     """Check the arguments, and make or resume a fit; at most one image is rendered.
 
-    stopping: when it is over.  checkpoint_every: seconds.  command: to record.  Others as for `fit`.
+    stopping: when it is over.  checkpoint_every: seconds between checkpoints.  command: to record.
     check_first: whether one image is rendered before anything is written, see `_check_first`.
+    All else as for `fit`.
     """
     _check_render(render, named=isinstance(space, Space))
     if out == "" or (switch("resume", resume) and out is None):
@@ -208,8 +209,7 @@ def prepare(
     watchers, options = Callbacks(callbacks), dict(options or {})
     check_names(options, _GIVEN, "is no option of the optimizer, but an argument of the fit")
     number_of_parameters("space", space.dim if isinstance(space, Space) else space)
-    if seed is None and out is not None and resume:
-        seed = seed_there(out)
+    seed = seed_there(out) if seed is None and out is not None and resume else seed
     there = resume and out is not None and is_saved(out)
     optimizer = FIDE(space, target, seed=seed, **with_model(options, render, resumed=there))
     schedule = schedule_for(render, fidelity, optimizer)
