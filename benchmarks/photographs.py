@@ -137,7 +137,8 @@ def opencv() -> None:
         true = np.array(board["corners"])
         off = [np.linalg.norm(one - true, axis=1).mean() for one in (corners, corners[::-1])]
         print(f"board {number}: {min(off):.2f}")
-    sift: Any = cv2.SIFT_create(contrastThreshold=0.02)
+    features: Any = cv2  # whose stubs do not know SIFT
+    sift = features.SIFT_create(contrastThreshold=0.02)
     grays = [cv2.cvtColor(pictures(name), cv2.COLOR_RGB2GRAY) for name in ("graf1", "graf3")]
     (points, first), (others, second) = (sift.detectAndCompute(gray, None) for gray in grays)
     pairs = [

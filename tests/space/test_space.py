@@ -212,7 +212,8 @@ def test_order_kind_and_bounds_make_a_space() -> None:
     assert Choice(0, 1) != Choice(False, True) and Choice(1, 2) == Choice(1, 2)
     assert Space({"a": a}, b=b) == Space(a=a, b=b)
     assert 2 * Group(a=a) == Group(a=a) * 2 != 3 * Group(a=a)
-    assert Space(a=a) != "a"
+    other: Any = "a"
+    assert Space(a=a) != other
 
 
 def test_nothing_changes(space: Space) -> None:
