@@ -13,7 +13,8 @@ import pytest
 from fide_plugins import FIDE, fit
 from fide_plugins.cli.fit_command import add_arguments
 from fide_plugins.comparison.auto import camera_blur, has_other_colors
-from fide_plugins.comparison.light import common_light, fit_light
+from fide_plugins.comparison.kept import Kept
+from fide_plugins.comparison.light import Light, common_light, fit_light
 from fide_plugins.comparison.mismatch import explanation
 from fide_plugins.comparison.scale_space import blurred
 from fide_plugins.errors import ImageError, LossError, OptionError
@@ -432,3 +433,39 @@ def test_views_of_two_sizes_go_on_from_a_file(tmp_path: Path) -> None:
     tell(one)
     tell(other)
     np.testing.assert_array_equal(one.ask(), other.ask())
+
+
+def test_what_is_left_counts_where_it_is_seen_and_covered() -> None:
+    a, seen = coverage(TRUE), np.tri(SIZE, dtype=np.float32)
+    for mask in (None, seen):
+        comparison = evaluator(render(TRUE), mask=mask, photo=True).comparison
+        assert comparison is not None
+        ((*_, weights),) = comparison.leftovers(np.dstack([render(TRUE), a]))
+        np.testing.assert_array_equal(weights, a if mask is None else a * seen)
+
+
+@pytest.mark.parametrize(("gain", "curve"), [(0.7, 0.0), (0.0, 0.9), (0.4, 0.5), (1.4, -0.4)])
+def test_gamma_is_the_slope_at_middle_gray_on_logarithmic_axes(gain: float, curve: float) -> None:
+    light = Light(np.full((1, 1, 3), gain), np.zeros(3), np.full(3, curve))
+    grays = np.repeat(np.array([0.48, 0.52], np.float32), 3).reshape(1, 2, 3)
+    slope = np.diff(np.log(light.applied(grays)), axis=1) / np.diff(np.log(grays), axis=1)
+    np.testing.assert_allclose(light.gamma, slope[0, 0], rtol=1e-3)
+
+
+@pytest.mark.parametrize("on", [(False, False), (False, True), (True, False), (True, True)])
+def test_what_is_left_comes_with_its_option_unless_it_is_on(on: tuple[bool, bool]) -> None:
+    for change, option, is_on in ((LIGHT, "photometric=", on[0]), (CLUTTER, "robust=", on[1])):
+        said = explanation(render(TRUE), render(TRUE) + change, None, agreed=True, adjusts=on)
+        assert said is not None and (option in said) != is_on
+
+
+@pytest.mark.parametrize("order", [(3, 4), (4, 3)])
+def test_kept_renders_without_a_coverage_are_covered(order: tuple[int, int]) -> None:
+    kept, given = Kept(2), np.random.default_rng(0).random((2, SIZE, SIZE, 4), np.float32)
+    given[0, ..., 3] = 1
+    for c in order:  # the opaque one is the better
+        kept.note(
+            np.zeros((1, 2)), given[c - 3, None, ..., :c], np.array([float(c)]), 0, given=False
+        )
+    assert kept.images is not None
+    np.testing.assert_array_equal(kept.images, given)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from itertools import groupby
 from pathlib import Path
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from fide_plugins import FIDE, Fidelity, Float, Space, fit
 from fide_plugins.errors import LossError, OptionError
 from fide_plugins.fitting.callbacks import Event
 from fide_plugins.fitting.fidelity import schedule_for
+from fide_plugins.fitting.rendering import Rendered
 from fide_plugins.fitting.schedule import Schedule
 from fide_plugins.types import Float64
 
@@ -221,3 +223,21 @@ def test_a_smaller_target_is_for_a_named_loss(target: Float64) -> None:
     optimizer = FIDE(3, target, loss=lambda images: np.zeros(len(images)))
     with pytest.raises(LossError, match="named loss"):
         optimizer.evaluator.at_size((8, 8))
+
+
+@pytest.mark.parametrize("ratio", [0.45, 0.55])
+def test_samples_rise_where_noise_is_half_of_the_spread(ratio: float) -> None:
+    """Of normal losses, whose candidates are rendered again with noise of that ratio."""
+    flat, normal = np.ones((16, 16, 3)), NormalDist(0.4, 0.05)
+    optimizer = FIDE(3, flat, loss=lambda images: images[:, 0, 0, 0], popsize=9, seed=0)
+    schedule = schedule_for(renderer([]), Fidelity(samples=(1, 16)), optimizer)
+    assert schedule is not None
+    optimizer.tell(optimizer.ask(1), [flat])
+    losses = [normal.inv_cdf(q) for q in (0.1, 0.2, 0.25, 0.3, 0.5, 0.7, 0.75, 0.8, 0.9)]
+    for i in range(90):
+        again = schedule.ask()
+        if again is not None and schedule.samples == 1:
+            second = losses[(i - 1) % 9] + np.sqrt(2) * ratio * normal.stdev
+            schedule.received(again[0], Rendered(second * flat, 0.0))
+        schedule.note(np.full(3, i / 90), losses[i % 9], spent=0.0, left=20.0)
+    assert (schedule.samples > 1) == (ratio > 0.5)

@@ -137,3 +137,9 @@ def test_a_fit_is_stalled_after_many_moves(
     reached = Stopping(None, until="stalled").reached(losses, 1.0, 0.1, True, optimizer)
     assert reached == ("stalled" if over else None)
     assert Stopping(None).reached(losses, 1.0, 0.1, True, optimizer) is None
+
+
+def test_of_budget_and_time_the_one_that_is_spent_more_counts() -> None:
+    for budget, seconds, share in ((None, 5.0, 0.25), (10, 5.0, 0.7), (10, 16.0, 0.8)):
+        left = budget - 7 if budget else np.inf
+        assert Stopping(budget, seconds=20.0).spent(7, seconds) == (share, left)

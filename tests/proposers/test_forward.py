@@ -159,6 +159,9 @@ def test_the_damping_balances_what_is_gained_and_what_the_model_misses(bend: flo
     chosen = objective(balanced(proposer, jacobian, slope))
     best = min(objective(damping) for damping in np.logspace(-8, 4, 400) * jacobian.values.mean())
     assert best - 1e-3 * abs(best) <= chosen <= 0.9 * best < 0  # on a grid
+    for curvature, limit in ((0.0, 1e-10), (1e99, 1e2)):
+        odd = jacobian._replace(curvature=curvature, rounding=0.0)
+        assert balanced(proposer, odd, slope) == pytest.approx(limit * odd.values.mean())
 
 
 @pytest.mark.usefixtures("nothing_kept")

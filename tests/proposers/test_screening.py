@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 import torch
 
-from fide_plugins import FIDE
-from fide_plugins.proposers import screening
+from fide_plugins import FIDE, encoders
+from fide_plugins.options import make_options
+from fide_plugins.proposers import make_proposer, screening
 from fide_plugins.proposers.linear import LinearProposer
 from fide_plugins.proposers.screening import local_regressions, token_weights
 from fide_plugins.types import Float64
@@ -123,3 +124,11 @@ def told(generations: int, **options: Any) -> FIDE:
         X = opt.ask()
         opt.tell(X, pixels(X))
     return opt
+
+
+@pytest.mark.parametrize("wanted", [False, True])
+def test_screening_is_for_more_parameters_than_candidates(wanted: bool) -> None:
+    options = make_options("balanced", {"screening": wanted})
+    for popsize in (D - 1, D):
+        made = make_proposer(options, D, popsize, 0, encoders.make("dense"))
+        assert isinstance(made, LinearProposer) and made.screening == (wanted and popsize < D)

@@ -122,3 +122,10 @@ def test_which_searches_have_them(proposer: str, dim: int, popsize: int, there: 
     made = make_step_model(options, dim, popsize, encoders.make("dense"))
     assert (made is not None) == there
     assert make_step_model(options, dim, popsize, encoders.make("dense"), learned=True) is None
+
+
+def test_they_begin_as_soon_as_enough_candidates_are_known() -> None:
+    for n in (4, 5):
+        steps = taught(n, least_promise=0.0)
+        steps.due = True
+        assert (steps.left(K, TARGET, STD) > 0) == (n >= steps.minimum)
