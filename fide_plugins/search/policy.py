@@ -312,22 +312,26 @@ class MovePolicy:
             if found.loss >= left.loss:
                 known.optima.fail(left)
         if best:
-            known.removal, known.incumbent = Removal(), found
+            self._leave(found)
+
+    def _leave(self, incumbent: TrainingSample) -> None:
+        """Take this optimum for the incumbent; what was known of removals was of another."""
+        if incumbent is not self.known.incumbent:
+            self.known.removal, self.known.incumbent = Removal(), incumbent
 
     def _choose(self) -> None:
         """Choose the next move, and the stage that comes first."""
         known = self.known
         if not known.exchangeability.finished:
             if known.incumbent is None:  # the last search began without images, and was no better
-                known.removal, known.incumbent = Removal(), known.optima.all[0].sample
+                self._leave(known.optima.all[0].sample)
             self.stage = Stage.EXCHANGE
             return
         blocks = known.exchangeability.blocks
         following = known.optima.next(_TOLERANCE if blocks is None else len(blocks))
         self.stage, self.move = Stage.RESTART, RandomRestart.name
         if following is not None:
-            if following is not known.incumbent:
-                known.removal, known.incumbent = Removal(), following
+            self._leave(following)
             moves = [self.family[name] for name in self._choice.names if name in self.family]
             possible = [one.name for one in moves if one.from_incumbent and one.possible(known)]
             possible = possible or [RandomRestart.name]

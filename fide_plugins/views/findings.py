@@ -15,6 +15,7 @@ as strong all over the picture.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -33,6 +34,7 @@ _SAME = 2e-6  # a GPU renders the same image with other last bits: by 1e-7 to 1e
 _RELATIVE, _ABSOLUTE = 1e-4, 1e-9  # by which losses of such images differ at most
 
 
+@dataclass(eq=False)
 class SameImages:
     """Whether all images that were told so far are equal, but for rounding on a GPU.
 
@@ -42,17 +44,16 @@ class SameImages:
     generation: candidates of a generation, of which each counts before anything is said.
     """
 
-    def __init__(self, generation: int) -> None:
-        self._enough = max(generation, _ENOUGH)
-        self._first: tuple[Float64, Float32, float] | None = None  # point, image and loss
-        self._count: int | None = 0  # None: two images differ, or it is not known
-        self._moved = False  # whether there are two different points
+    generation: int
+    _first: tuple[Float64, Float32, float] | None = None  # point, image and loss
+    _count: int | None = 0  # None: two images differ, or it is not known
+    _moved: bool = False  # whether there are two different points
 
     @property
     def number(self) -> int:
         """How many candidates have the same image; 0: too few to say so."""
         count = self._count if self._moved else 0
-        return count if count and count >= self._enough else 0
+        return count if count and count >= max(self.generation, _ENOUGH) else 0
 
     def forget(self) -> None:
         """Say nothing from now on."""
